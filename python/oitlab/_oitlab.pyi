@@ -1,0 +1,132 @@
+"""The compiled core. `oitlab` wraps every name here; import from there."""
+
+from typing import Any, Literal, TypeAlias, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+__version__: str
+build_features: tuple[str, ...]
+
+_Vec3: TypeAlias = tuple[float, float, float]
+
+@final
+class Camera:
+    def __new__(
+        cls,
+        eye: _Vec3,
+        target: _Vec3,
+        up: _Vec3,
+        fov_y: float | None,
+        ortho_height: float | None,
+        near: float,
+        far: float,
+    ) -> Camera: ...
+
+@final
+class Mesh:
+    def __new__(
+        cls,
+        vertices: NDArray[np.float64],
+        faces: NDArray[np.int64],
+        colors: NDArray[np.float32],
+        color_domain: Literal["mesh", "vertex", "face"],
+        alpha_mode: str,
+        alpha_cutoff: float,
+        shading: str,
+        emission: _Vec3,
+        double_sided: bool,
+        opacity: float | None,
+    ) -> Mesh: ...
+    @property
+    def vertices(self) -> NDArray[np.float64]: ...
+    @property
+    def faces(self) -> NDArray[np.uint32]: ...
+    @property
+    def colors(self) -> NDArray[np.float32]: ...
+
+@final
+class Scene:
+    def __new__(
+        cls,
+        meshes: list[Mesh],
+        camera: Camera,
+        width: int,
+        height: int,
+        background: _Vec3,
+    ) -> Scene: ...
+    @property
+    def content_hash(self) -> str: ...
+
+@final
+class Fragments:
+    def __new__(
+        cls,
+        width: int,
+        height: int,
+        offsets: NDArray[np.int64],
+        depth: NDArray[np.float32],
+        color: NDArray[np.float32],
+        alpha: NDArray[np.float32],
+        primitive: NDArray[np.uint32] | None,
+        background: NDArray[np.float32],
+        near: float,
+        far: float,
+        depth_range: tuple[float, float] | None,
+        primitive_depth: NDArray[np.float64] | None,
+    ) -> Fragments: ...
+    @property
+    def width(self) -> int: ...
+    @property
+    def height(self) -> int: ...
+    @property
+    def offsets(self) -> NDArray[np.int64]: ...
+    @property
+    def depth(self) -> NDArray[np.float32]: ...
+    @property
+    def color(self) -> NDArray[np.float32]: ...
+    @property
+    def alpha(self) -> NDArray[np.float32]: ...
+    @property
+    def primitive(self) -> NDArray[np.uint32]: ...
+    @property
+    def background(self) -> NDArray[np.float32]: ...
+    @property
+    def near(self) -> float: ...
+    @property
+    def far(self) -> float: ...
+    @property
+    def depth_range(self) -> tuple[float, float]: ...
+    @property
+    def primitive_depth(self) -> NDArray[np.float64] | None: ...
+    @property
+    def content_hash(self) -> str: ...
+
+@final
+class Frame:
+    @property
+    def technique(self) -> str: ...
+    @property
+    def params(self) -> dict[str, Any]: ...
+    @property
+    def source_hash(self) -> str: ...
+    @property
+    def color(self) -> NDArray[np.float32] | NDArray[np.float64]: ...
+    @property
+    def transmittance(self) -> NDArray[np.float32] | NDArray[np.float64]: ...
+    @property
+    def first_depth(self) -> NDArray[np.float32]: ...
+    @property
+    def fragment_count(self) -> NDArray[np.uint32]: ...
+    @property
+    def stats(self) -> dict[str, Any]: ...
+
+def render(
+    source: Scene | Fragments,
+    variants: list[tuple[str, dict[str, Any]]],
+    threads: int | None,
+    skip: bool,
+    float64: bool,
+) -> list[Frame]: ...
+def capture(scene: Scene, threads: int | None) -> Fragments: ...
+def techniques() -> list[dict[str, Any]]: ...

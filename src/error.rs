@@ -1,0 +1,48 @@
+//! The one error type of the core.
+//!
+//! Every message names the culprit (argument, index, what was allowed), because the person who reads it
+//! sits in a notebook and cannot step into the core.
+
+/// What can go wrong between a scene and a frame.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum Error {
+    /// An argument of a constructor or of `render` is not acceptable.
+    #[error("{argument}: {problem}")]
+    Argument {
+        /// The argument's public name.
+        argument: &'static str,
+        /// What is wrong with it, with the index and the allowed values.
+        problem: String,
+    },
+    /// No technique has this id.
+    #[error("unknown technique {id:?}; the techniques are {known}")]
+    UnknownTechnique {
+        /// The id as given.
+        id: String,
+        /// Every registered id, comma separated.
+        known: String,
+    },
+    /// A technique's parameter is unknown, of a wrong type or out of range.
+    #[error("{technique}: {problem}; {valid}")]
+    Param {
+        /// The technique's id.
+        technique: &'static str,
+        /// What is wrong, naming the parameter.
+        problem: String,
+        /// The parameters or values that would have been accepted.
+        valid: String,
+    },
+    /// The caller asked to stop.
+    #[error("the render was cancelled")]
+    Cancelled,
+}
+
+impl Error {
+    /// An [`Error::Argument`].
+    pub fn argument(argument: &'static str, problem: impl Into<String>) -> Self {
+        Self::Argument { argument, problem: problem.into() }
+    }
+}
+
+/// The core's result type.
+pub type Result<T> = std::result::Result<T, Error>;

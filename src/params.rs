@@ -1,0 +1,442 @@
+//! Typed reading of a technique's params: a table of specs checks what the user gave, fills in defaults and
+//! rejects what it does not know, by name.
+
+use crate::error::{Error, Result};
+use std::fmt;
+
+/// A resolved parameter value. Text is always one of a spec's choices, hence `'static`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Value {
+    /// No value: the parameter is inactive under the other params.
+    None,
+    /// A switch.
+    Bool(bool),
+    /// A whole number.
+    Int(i64),
+    /// A real number.
+    Float(f64),
+    /// One of a spec's choices.
+    Text(&'static str),
+    /// A depth interval `(z_lo, z_hi)`.
+    Pair(f64, f64),
+    /// Three channels.
+    Rgb([f64; 3]),
+}
+
+/// A parameter value as the user wrote it.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Input {
+    /// `True` or `False`.
+    Bool(bool),
+    /// An integer.
+    Int(i64),
+    /// A real number.
+    Float(f64),
+    /// A string.
+    Text(String),
+    /// A tuple, list or array of numbers.
+    Floats(Vec<f64>),
+    /// Something else; the text says what.
+    Other(String),
+}
+
+/// A parameter's type and range.
+#[derive(Debug, Clone, Copy)]
+pub enum Kind {
+    /// `True` or `False`.
+    Bool,
+    /// An integer in `min..=max`.
+    Int { min: i64, max: i64 },
+    /// One of a few integers.
+    IntChoice(&'static [i64]),
+    /// A finite number in `min..=max`, without the end points that are open.
+    Float { min: f64, max: f64, min_open: bool, max_open: bool },
+    /// One of a few strings.
+    Choice(&'static [&'static str]),
+    /// A number or three of them, each in `min..=max`.
+    FloatOrRgb { min: f64, max: f64 },
+    /// A depth range: `"pixel"`, `"scene"` or `(z_lo, z_hi)`.
+    DepthRange,
+}
+
+impl Kind {
+    /// Any integer from `min`, limited by memory alone.
+    pub const fn at_least(min: i64) -> Self {
+        Self::Int { min, max: i64::MAX }
+    }
+    /// A number in the closed interval.
+    pub const fn float(min: f64, max: f64) -> Self {
+        Self::Float { min, max, min_open: false, max_open: false }
+    }
+    /// A finite number above zero.
+    pub const POSITIVE: Self = Self::Float { min: 0.0, max: f64::INFINITY, min_open: true, max_open: true };
+    /// Any finite number.
+    pub const REAL: Self =
+        Self::Float { min: f64::NEG_INFINITY, max: f64::INFINITY, min_open: true, max_open: true };
+    /// A finite number of at least zero.
+    pub const NON_NEGATIVE: Self =
+        Self::Float { min: 0.0, max: f64::INFINITY, min_open: false, max_open: true };
+
+    /// The type's name as users read it.
+    pub fn type_name(&self) -> &'static str {
+        match self {
+            Self::Bool => "bool",
+            Self::Int { .. } | Self::IntChoice(_) => "int",
+            Self::Float { .. } => "float",
+            Self::Choice(_) => "str",
+            Self::FloatOrRgb { .. } => "float or (r, g, b)",
+            Self::DepthRange => "str or (z_lo, z_hi)",
+        }
+    }
+
+    /// Reads `input`; `None` when its type or value does not fit.
+    fn read(&self, input: &Input) -> Option<Value> {
+        match (*self, input) {
+            (Self::Bool, Input::Bool(b)) => Some(Value::Bool(*b)),
+            (Self::Int { min, max }, Input::Int(i)) => (min..=max).contains(i).then_some(Value::Int(*i)),
+            (Self::IntChoice(choices), Input::Int(i)) => choices.contains(i).then_some(Value::Int(*i)),
+            (Self::Float { .. }, Input::Int(_) | Input::Float(_)) => {
+                let x = number(input)?;
+                self.contains(x).then_some(Value::Float(x))
+            }
+            (Self::Choice(choices), Input::Text(text)) => choice(choices, text),
+            (Self::FloatOrRgb { min, max }, _) => {
+                let inside = |x: &f64| (min..=max).contains(x);
+                match input {
+                    Input::Floats(v) if v.len() == 3 && v.iter().all(inside) => {
+                        Some(Value::Rgb([v[0], v[1], v[2]]))
+                    }
+                    _ => number(input).filter(inside).map(|x| Value::Rgb([x; 3])),
+                }
+            }
+            (Self::DepthRange, Input::Text(text)) => choice(&["pixel", "scene"], text),
+            (Self::DepthRange, Input::Floats(v)) => {
+                let fits = v.len() == 2 && v.iter().all(|z| z.is_finite()) && 0.0 <= v[0] && v[0] < v[1];
+                fits.then(|| Value::Pair(v[0], v[1]))
+            }
+            _ => None,
+        }
+    }
+
+    fn contains(&self, x: f64) -> bool {
+        let Self::Float { min, max, min_open, max_open } = *self else { return false };
+        let above = if min_open { x > min } else { x >= min };
+        let below = if max_open { x < max } else { x <= max };
+        x.is_finite() && above && below
+    }
+}
+
+fn number(input: &Input) -> Option<f64> {
+    match input {
+        #[expect(clippy::cast_precision_loss, reason = "a param beyond 2^53 has no use as a number")]
+        Input::Int(i) => Some(*i as f64),
+        Input::Float(x) => Some(*x),
+        _ => None,
+    }
+}
+
+fn choice(choices: &[&'static str], text: &str) -> Option<Value> {
+    choices.iter().find(|c| **c == text).map(|c| Value::Text(c))
+}
+
+impl fmt::Display for Kind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match *self {
+            Self::Bool => write!(f, "True or False"),
+            Self::Int { min, max: i64::MAX } => write!(f, "an integer >= {min}"),
+            Self::Int { min, max } => write!(f, "an integer in [{min}, {max}]"),
+            Self::IntChoice(choices) => {
+                write!(f, "one of {}", join(choices.iter().map(ToString::to_string)))
+            }
+            Self::Float { min, max, min_open, max_open } => match (min.is_finite(), max.is_finite()) {
+                (false, false) => write!(f, "a finite number"),
+                (true, false) => write!(f, "a finite number {} {min}", if min_open { ">" } else { ">=" }),
+                _ => {
+                    let (open, close) = (if min_open { '(' } else { '[' }, if max_open { ')' } else { ']' });
+                    write!(f, "a number in {open}{min}, {max}{close}")
+                }
+            },
+            Self::Choice(choices) => write!(f, "one of {}", join(choices.iter().map(|c| format!("{c:?}")))),
+            Self::FloatOrRgb { min, max } => {
+                write!(f, "a number in [{min}, {max}], or three of them (r, g, b)")
+            }
+            Self::DepthRange => write!(f, "\"pixel\", \"scene\" or (z_lo, z_hi) with 0 <= z_lo < z_hi"),
+        }
+    }
+}
+
+fn join(items: impl Iterator<Item = String>) -> String {
+    items.collect::<Vec<_>>().join(", ")
+}
+
+/// What a parameter is when the user says nothing.
+#[derive(Clone, Copy)]
+pub enum Default {
+    /// A constant.
+    Fixed(Value),
+    /// A value that follows from the other params (those before it in the table) and the view.
+    Derived {
+        /// How the value follows, in words.
+        text: &'static str,
+        /// The rule itself.
+        rule: fn(&Params, &View) -> Value,
+    },
+}
+
+/// One row of a technique's parameter table.
+#[derive(Clone, Copy)]
+pub struct ParamSpec {
+    /// The name users write.
+    pub name: &'static str,
+    /// Type and range.
+    pub kind: Kind,
+    /// Value when absent.
+    pub default: Default,
+    /// Meaning, in a sentence.
+    pub doc: &'static str,
+    /// Whether the parameter acts, given the params before it in the table.
+    pub active: fn(&Params) -> bool,
+}
+
+impl ParamSpec {
+    /// A parameter with a constant default that always acts.
+    pub const fn new(name: &'static str, kind: Kind, default: Value, doc: &'static str) -> Self {
+        Self { name, kind, default: Default::Fixed(default), doc, active: |_| true }
+    }
+    /// The same parameter, acting only where `active` says so.
+    pub const fn when(mut self, active: fn(&Params) -> bool) -> Self {
+        self.active = active;
+        self
+    }
+    /// The same parameter with a default that follows from others or from the view.
+    pub const fn derived(mut self, text: &'static str, rule: fn(&Params, &View) -> Value) -> Self {
+        self.default = Default::Derived { text, rule };
+        self
+    }
+}
+
+/// What a technique may know of the view besides a pixel's fragments.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct View {
+    /// Near plane: view-space distance, > 0.
+    pub near: f64,
+    /// Far plane: view-space distance.
+    pub far: f64,
+    /// Depth range of the scene's transparent geometry (`range="scene"`).
+    pub depth_range: (f64, f64),
+}
+
+/// What the user gave, checked against a technique's table but not yet completed.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Checked {
+    technique: &'static str,
+    given: Vec<(&'static str, Value)>,
+}
+
+/// Checks `inputs` against the table `specs` of `technique`.
+///
+/// # Errors
+/// [`Error::Param`] for the first unknown name, wrong type or value out of range.
+pub fn check(technique: &'static str, specs: &[ParamSpec], inputs: &[(String, Input)]) -> Result<Checked> {
+    let mut given = Vec::with_capacity(inputs.len());
+    for (name, input) in inputs {
+        let Some(spec) = specs.iter().find(|spec| spec.name == name) else {
+            let names = join(specs.iter().map(|s| format!("{} ({})", s.name, s.kind)));
+            return Err(Error::Param {
+                technique,
+                problem: format!("unknown parameter {name:?}"),
+                valid: format!("its parameters are {names}"),
+            });
+        };
+        let Some(value) = spec.kind.read(input) else {
+            return Err(Error::Param {
+                technique,
+                problem: format!("parameter {:?} is {}", spec.name, describe(input)),
+                valid: format!(
+                    "allowed is {}; its parameters are {}",
+                    spec.kind,
+                    join(specs.iter().map(|s| s.name.to_owned()))
+                ),
+            });
+        };
+        given.push((spec.name, value));
+    }
+    Ok(Checked { technique, given })
+}
+
+fn describe(input: &Input) -> String {
+    match input {
+        Input::Bool(b) => format!("the bool {}", if *b { "True" } else { "False" }),
+        Input::Int(i) => format!("{i}"),
+        Input::Float(x) => format!("{x:?}"),
+        Input::Text(t) => format!("{t:?}"),
+        Input::Floats(v) => format!("({})", join(v.iter().map(|x| format!("{x:?}")))),
+        Input::Other(what) => what.clone(),
+    }
+}
+
+/// All params of one technique, in the order of its table.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Params {
+    technique: &'static str,
+    values: Vec<(&'static str, Value)>,
+    active: Vec<bool>,
+}
+
+impl Checked {
+    /// Completes the params with the defaults that `view` and the other params imply.
+    pub fn resolve(&self, specs: &[ParamSpec], view: &View) -> Params {
+        let mut params = Params { technique: self.technique, values: Vec::new(), active: Vec::new() };
+        for spec in specs {
+            let given = self.given.iter().rev().find(|(name, _)| *name == spec.name);
+            let value = match (given, spec.default) {
+                (Some((_, value)), _) => *value,
+                (None, Default::Fixed(value)) => value,
+                (None, Default::Derived { rule, .. }) => rule(&params, view),
+            };
+            let active = (spec.active)(&params);
+            params.values.push((spec.name, value));
+            params.active.push(active);
+        }
+        params
+    }
+}
+
+impl Params {
+    /// Every param with its value.
+    pub fn iter(&self) -> impl Iterator<Item = (&'static str, Value)> + '_ {
+        self.values.iter().copied()
+    }
+
+    /// The params that act: what tells one variant of a technique from another.
+    pub fn identity(&self) -> Vec<(&'static str, Value)> {
+        let pairs = self.values.iter().zip(&self.active);
+        pairs.filter(|(_, active)| **active).map(|(pair, _)| *pair).collect()
+    }
+
+    /// The technique's own error about a combination of params.
+    pub fn error(&self, problem: impl Into<String>, valid: impl Into<String>) -> Error {
+        Error::Param { technique: self.technique, problem: problem.into(), valid: valid.into() }
+    }
+
+    /// The value of `name`.
+    ///
+    /// # Panics
+    /// If the technique's own table has no such row, or has it after the one being resolved.
+    pub fn value(&self, name: &str) -> Value {
+        match self.values.iter().find(|(n, _)| *n == name) {
+            Some((_, value)) => *value,
+            None => panic!("{} has no param {name:?}", self.technique),
+        }
+    }
+    /// A switch.
+    pub fn bool(&self, name: &str) -> bool {
+        matches!(self.value(name), Value::Bool(true))
+    }
+    /// A whole number.
+    pub fn int(&self, name: &str) -> i64 {
+        match self.value(name) {
+            Value::Int(i) => i,
+            other => panic!("{}: {name:?} is {other:?}, not an integer", self.technique),
+        }
+    }
+    /// A whole number >= 0 that counts something; larger than memory allows is as good as unlimited.
+    pub fn size(&self, name: &str) -> usize {
+        usize::try_from(self.int(name)).unwrap_or(usize::MAX)
+    }
+    /// A real number.
+    pub fn float(&self, name: &str) -> f64 {
+        match self.value(name) {
+            Value::Float(x) => x,
+            other => panic!("{}: {name:?} is {other:?}, not a number", self.technique),
+        }
+    }
+    /// One of the spec's choices.
+    pub fn text(&self, name: &str) -> &'static str {
+        match self.value(name) {
+            Value::Text(text) => text,
+            other => panic!("{}: {name:?} is {other:?}, not text", self.technique),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const VIEW: View = View { near: 0.1, far: 100.0, depth_range: (1.0, 2.0) };
+    const SPECS: &[ParamSpec] = &[
+        ParamSpec::new("mode", Kind::Choice(&["a", "b"]), Value::Text("a"), "m"),
+        ParamSpec::new("k", Kind::POSITIVE, Value::Float(4.0), "k").when(|p| p.text("mode") == "b"),
+        ParamSpec::new("layers", Kind::at_least(1), Value::Int(8), "n"),
+        ParamSpec::new("near", Kind::POSITIVE, Value::None, "near")
+            .derived("the camera's", |_, view| Value::Float(view.near)),
+        ParamSpec::new("range", Kind::DepthRange, Value::Text("pixel"), "r"),
+        ParamSpec::new("tau", Kind::FloatOrRgb { min: 0.0, max: 1.0 }, Value::Rgb([0.0; 3]), "t"),
+        ParamSpec::new("m", Kind::IntChoice(&[4, 6, 8]), Value::Int(4), "m"),
+        ParamSpec::new("on", Kind::Bool, Value::Bool(true), "o"),
+    ];
+
+    fn checked(inputs: &[(&str, Input)]) -> Result<Checked> {
+        let inputs: Vec<_> = inputs.iter().map(|(n, v)| ((*n).to_owned(), v.clone())).collect();
+        check("demo", SPECS, &inputs)
+    }
+
+    fn message(name: &str, input: Input) -> String {
+        checked(&[(name, input)]).unwrap_err().to_string()
+    }
+
+    #[test]
+    fn defaults_follow_the_table_and_the_view() {
+        let params = checked(&[]).unwrap().resolve(SPECS, &VIEW);
+        assert_eq!(params.text("mode"), "a");
+        assert_eq!(params.float("near"), 0.1);
+        assert_eq!(params.size("layers"), 8);
+        assert!(params.bool("on"));
+    }
+
+    #[test]
+    fn integers_pass_for_floats_but_not_the_other_way_round() {
+        let params = checked(&[("k", Input::Int(3))]).unwrap().resolve(SPECS, &VIEW);
+        assert_eq!(params.float("k"), 3.0);
+        assert!(message("layers", Input::Float(3.0)).contains("an integer >= 1"));
+        assert!(message("layers", Input::Bool(true)).contains("the bool True"));
+        assert!(message("k", Input::Bool(true)).contains("\"k\""));
+    }
+
+    #[test]
+    fn errors_name_technique_key_keys_and_range() {
+        let text = message("kk", Input::Int(3));
+        assert!(text.contains("demo") && text.contains("\"kk\""), "{text}");
+        assert!(text.contains("mode (one of \"a\", \"b\")") && text.contains("layers"), "{text}");
+        let text = message("mode", Input::Text("c".into()));
+        assert!(text.contains("\"mode\" is \"c\"") && text.contains("one of \"a\", \"b\""), "{text}");
+        assert!(message("k", Input::Float(f64::NAN)).contains("> 0"));
+        assert!(message("k", Input::Float(0.0)).contains("> 0"));
+        assert!(message("layers", Input::Int(0)).contains(">= 1"));
+        assert!(message("range", Input::Floats(vec![2.0, 1.0])).contains("z_lo < z_hi"));
+        assert!(message("range", Input::Text("world".into())).contains("\"scene\""));
+        assert!(message("tau", Input::Floats(vec![0.5, 1.5, 0.0])).contains("[0, 1]"));
+        assert!(message("m", Input::Int(5)).contains("one of 4, 6, 8"));
+        assert!(message("on", Input::Other("a dict".into())).contains("is a dict"));
+    }
+
+    #[test]
+    fn inactive_params_leave_the_identity() {
+        let one = checked(&[("k", Input::Int(3))]).unwrap().resolve(SPECS, &VIEW);
+        let two = checked(&[("k", Input::Int(5))]).unwrap().resolve(SPECS, &VIEW);
+        assert_eq!(one.identity(), two.identity());
+        let b = ("mode", Input::Text("b".into()));
+        let one = checked(&[b.clone(), ("k", Input::Int(3))]).unwrap().resolve(SPECS, &VIEW);
+        let two = checked(&[b, ("k", Input::Int(5))]).unwrap().resolve(SPECS, &VIEW);
+        assert_ne!(one.identity(), two.identity());
+    }
+
+    #[test]
+    fn one_number_serves_for_three_channels() {
+        let params = checked(&[("tau", Input::Float(0.5))]).unwrap().resolve(SPECS, &VIEW);
+        assert_eq!(params.value("tau"), Value::Rgb([0.5; 3]));
+        let params = checked(&[("range", Input::Floats(vec![1.0, 2.0]))]).unwrap();
+        assert_eq!(params.resolve(SPECS, &VIEW).value("range"), Value::Pair(1.0, 2.0));
+    }
+}

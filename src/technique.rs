@@ -1,0 +1,251 @@
+//! What a transparency technique is: a function from a pixel's fragment list to a colour, with an entry in
+//! the registry that says what it is called, what it costs and what it promises.
+
+use crate::error::Result;
+use crate::fragments::{List, ListsRef};
+use crate::params::{ParamSpec, Params, View};
+use glam::DVec3;
+
+/// One pixel as a technique sees it.
+#[derive(Debug, Clone, Copy)]
+pub struct Pixel<'a> {
+    /// Column, from the left.
+    pub x: u32,
+    /// Row, from the top.
+    pub y: u32,
+    /// The fragments in submission order.
+    pub list: List<'a>,
+    /// The same fragments by (depth, primitive), nearest first; empty unless the technique asks for it with
+    /// [`Technique::NEEDS_SORTED`].
+    pub sorted: List<'a>,
+    /// The opaque colour behind them.
+    pub background: DVec3,
+}
+
+/// What a technique makes of a pixel.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Resolved {
+    /// Linear colour, background included.
+    pub color: DVec3,
+    /// The background's share in it, per channel.
+    pub transmittance: DVec3,
+    /// Fragments that the technique's storage had no room for.
+    pub dropped: u64,
+}
+
+impl Resolved {
+    /// A colour over which the background shows with the same share in every channel.
+    pub fn new(color: DVec3, transmittance: f64) -> Self {
+        Self { color, transmittance: DVec3::splat(transmittance), dropped: 0 }
+    }
+    /// A pixel without fragments.
+    pub fn background(background: DVec3) -> Self {
+        Self::new(background, 1.0)
+    }
+}
+
+/// How deep an image is: what some techniques' cost depends on.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct DepthComplexity {
+    /// Mean number of fragments per pixel, empty pixels included.
+    pub mean: f64,
+    /// Largest number of fragments in a pixel.
+    pub max: usize,
+}
+
+/// What a streaming GPU implementation of a technique would need (sheet 1.2).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Cost {
+    /// Times the transparent geometry is drawn.
+    pub geometry_passes: f64,
+    /// The technique's own state, in bytes per pixel.
+    pub bytes_per_pixel: f64,
+}
+
+/// What a technique promises under its params; tests check every claim.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Properties {
+    /// The image does not depend on submission order (beyond the rounding of float sums).
+    pub order_independent: bool,
+    /// The expected image is the exact one.
+    pub unbiased: bool,
+    /// The error tends to zero as the technique's size parameter grows.
+    pub consistent: bool,
+    /// A pixel with one fragment is exact.
+    pub exact_for_one: bool,
+    /// A pixel whose fragments share one unmultiplied colour is exact.
+    pub exact_for_one_color: bool,
+    /// The background's share is exactly the product of the fragments' 1 - alpha.
+    pub exact_coverage: bool,
+}
+
+impl Properties {
+    /// No promise at all; name the promises with struct update syntax.
+    pub const NONE: Self = Self {
+        order_independent: false,
+        unbiased: false,
+        consistent: false,
+        exact_for_one: false,
+        exact_for_one_color: false,
+        exact_coverage: false,
+    };
+    /// The reference and what equals it.
+    pub const EXACT: Self = Self {
+        order_independent: true,
+        unbiased: true,
+        consistent: true,
+        exact_for_one: true,
+        exact_for_one_color: true,
+        exact_coverage: true,
+    };
+}
+
+/// A transparency technique with its params bound.
+pub trait Technique: Send + Sync + 'static {
+    /// Working memory, made once per batch of pixels.
+    type Scratch: Default;
+
+    /// Whether [`Pixel::sorted`] is wanted.
+    const NEEDS_SORTED: bool = false;
+    /// Whether fragments that neither cover nor emit are shown to the technique too (a published defect that
+    /// two techniques reproduce, sheet 0.1).
+    const SEES_ZERO_FRAGMENTS: bool = false;
+    /// Whether the background is attenuated per channel.
+    const COLORED_TRANSMITTANCE: bool = false;
+
+    /// The pixel's colour. `pixel.list` holds at least one fragment.
+    fn resolve(&self, pixel: &Pixel<'_>, scratch: &mut Self::Scratch) -> Resolved;
+
+    /// The modelled cost on an image of this depth complexity.
+    fn cost(&self, complexity: &DepthComplexity) -> Cost;
+
+    /// The promises under the bound params.
+    fn properties(&self) -> Properties;
+}
+
+/// Pixels that are resolved together: a tile, or a piece of a captured image.
+#[derive(Debug, Clone, Copy)]
+pub struct Batch<'a> {
+    /// Column of the first pixel.
+    pub x: u32,
+    /// Row of the first pixel.
+    pub y: u32,
+    /// Pixels per row of the batch.
+    pub width: u32,
+    /// Fragments in submission order.
+    pub lists: ListsRef<'a>,
+    /// Fragments nearest first, where somebody asked for them.
+    pub sorted: Option<ListsRef<'a>>,
+    /// The opaque colour behind each pixel.
+    pub background: &'a [[f32; 3]],
+}
+
+impl<'a> Batch<'a> {
+    /// The colour behind pixel `i`.
+    pub fn background(&self, i: usize) -> DVec3 {
+        glam::Vec3::from(self.background[i]).as_dvec3()
+    }
+    /// Pixel `i` of the batch.
+    #[expect(clippy::cast_possible_truncation, reason = "batches are at most MAX_SIZE squared")]
+    pub fn pixel(&self, i: usize) -> Pixel<'a> {
+        Pixel {
+            x: self.x + i as u32 % self.width,
+            y: self.y + i as u32 / self.width,
+            list: self.lists.row(i),
+            sorted: self.sorted.map(|lists| lists.row(i)).unwrap_or_default(),
+            background: self.background(i),
+        }
+    }
+}
+
+/// A technique behind a pointer: one dynamic call per batch, none per fragment.
+pub trait AnyTechnique: Send + Sync {
+    /// See [`Technique::NEEDS_SORTED`].
+    fn needs_sorted(&self) -> bool;
+    /// See [`Technique::SEES_ZERO_FRAGMENTS`].
+    fn sees_zero_fragments(&self) -> bool;
+    /// See [`Technique::COLORED_TRANSMITTANCE`].
+    fn colored_transmittance(&self) -> bool;
+    /// See [`Technique::cost`].
+    fn cost(&self, complexity: &DepthComplexity) -> Cost;
+    /// See [`Technique::properties`].
+    fn properties(&self) -> Properties;
+    /// Resolves the listed pixels of `batch` into `out`, until `stop` says so.
+    fn resolve_batch(&self, batch: &Batch<'_>, pixels: &[u32], out: &mut [Resolved], stop: &dyn Fn() -> bool);
+}
+
+impl<T: Technique> AnyTechnique for T {
+    fn needs_sorted(&self) -> bool {
+        T::NEEDS_SORTED
+    }
+    fn sees_zero_fragments(&self) -> bool {
+        T::SEES_ZERO_FRAGMENTS
+    }
+    fn colored_transmittance(&self) -> bool {
+        T::COLORED_TRANSMITTANCE
+    }
+    fn cost(&self, complexity: &DepthComplexity) -> Cost {
+        Technique::cost(self, complexity)
+    }
+    fn properties(&self) -> Properties {
+        Technique::properties(self)
+    }
+    fn resolve_batch(
+        &self,
+        batch: &Batch<'_>,
+        pixels: &[u32],
+        out: &mut [Resolved],
+        stop: &dyn Fn() -> bool,
+    ) {
+        let mut scratch = T::Scratch::default();
+        for (n, &i) in pixels.iter().enumerate() {
+            if n % 64 == 0 && stop() {
+                return;
+            }
+            out[i as usize] = self.resolve(&batch.pixel(i as usize), &mut scratch);
+        }
+    }
+}
+
+/// A technique's row in Wyman's Table 1 (W16), in the paper's words.
+#[derive(Debug, Clone, Copy)]
+pub struct Axes {
+    /// What is stored per pixel.
+    pub memory: &'static str,
+    /// When a fragment is inserted.
+    pub insertion: &'static str,
+    /// What happens when there is no room.
+    pub merge: &'static str,
+    /// How what was lost is made good.
+    pub normalize: &'static str,
+    /// Continuous alpha or coverage mask.
+    pub opacity: &'static str,
+}
+
+/// A technique's entry in the registry.
+pub struct Info {
+    /// The name users write.
+    pub id: &'static str,
+    /// Other names for it.
+    pub aliases: &'static [&'static str],
+    /// The name in the literature.
+    pub name: &'static str,
+    /// Keys into `references.bib`, the original source first.
+    pub citation: &'static [&'static str],
+    /// What it does, in a sentence or two.
+    pub doc: &'static str,
+    /// Its place in the continuum.
+    pub axes: Axes,
+    /// Its own parameters.
+    pub params: &'static [ParamSpec],
+    /// The submission orders it can be asked for, the default first.
+    pub submission_orders: &'static [&'static str],
+    /// Whether it draws random numbers.
+    pub random: bool,
+    /// Geometry passes as a formula.
+    pub geometry_passes: &'static str,
+    /// Bytes per pixel as a formula.
+    pub bytes_per_pixel: &'static str,
+    /// Makes the technique.
+    pub build: fn(&Params, &View) -> Result<Box<dyn AnyTechnique>>,
+}

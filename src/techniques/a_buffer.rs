@@ -1,0 +1,196 @@
+//! The A-buffer (Carpenter 1984): keep every fragment, sort, composite. The reference, in float64.
+
+use crate::error::Result;
+use crate::fragments::List;
+use crate::order::sort_key;
+use crate::params::{Kind, ParamSpec, Params, Value, View};
+use crate::technique::{
+    AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties, Resolved, Technique,
+};
+use crate::techniques::ANY_ORDER;
+use glam::{DVec3, Vec3};
+
+/// The registry entry.
+pub static INFO: Info = Info {
+    id: "a_buffer",
+    aliases: &["over"],
+    name: "A-buffer",
+    citation: &["Carpenter1984", "Yang2010"],
+    doc: "Keeps every fragment of a pixel, sorts by (depth, primitive) and composites front to back in \
+          float64: the exact image. With a capacity it shows what a full linked-list pool loses.",
+    axes: Axes {
+        memory: "none",
+        insertion: "always",
+        merge: "no merging",
+        normalize: "no",
+        opacity: "either",
+    },
+    params: &[
+        ParamSpec::new(
+            "overflow",
+            Kind::Choice(&["grow", "drop", "tail_blend"]),
+            Value::Text("grow"),
+            "what happens to fragments beyond the capacity: kept all the same, dropped, or blended by \
+             MB13 eq. 5 behind the kept ones",
+        ),
+        ParamSpec::new(
+            "capacity",
+            Kind::at_least(0),
+            Value::Int(0),
+            "fragments kept per pixel in submission order; 0 is unlimited",
+        )
+        .when(|p| p.text("overflow") != "grow"),
+    ],
+    submission_orders: ANY_ORDER,
+    random: false,
+    geometry_passes: "1",
+    bytes_per_pixel: "16 n + 4 (linked list; n = mean depth complexity)",
+    build,
+};
+
+fn build(params: &Params, _view: &View) -> Result<Box<dyn AnyTechnique>> {
+    let capacity = match (params.text("overflow"), params.size("capacity")) {
+        ("grow", _) | (_, 0) => return Ok(Box::new(ABuffer)),
+        (_, capacity) => capacity,
+    };
+    Ok(Box::new(LimitedABuffer { capacity, blend_tail: params.text("overflow") == "tail_blend" }))
+}
+
+fn list_cost(nodes: f64) -> Cost {
+    Cost { geometry_passes: 1.0, bytes_per_pixel: 16.0 * nodes + 4.0 }
+}
+
+/// Front-to-back compositing of sorted fragments (sheet 0.1): colour without background, and transmittance.
+fn over(sorted: List<'_>) -> (DVec3, f64) {
+    let (mut color, mut transmittance) = (DVec3::ZERO, 1.0);
+    for (c, &alpha) in sorted.color.iter().zip(sorted.alpha) {
+        color += transmittance * Vec3::from(*c).as_dvec3();
+        transmittance *= 1.0 - f64::from(alpha);
+    }
+    (color, transmittance)
+}
+
+/// The A-buffer without a limit.
+struct ABuffer;
+
+impl Technique for ABuffer {
+    type Scratch = ();
+    const NEEDS_SORTED: bool = true;
+
+    fn resolve(&self, pixel: &Pixel<'_>, (): &mut ()) -> Resolved {
+        let (color, transmittance) = over(pixel.sorted);
+        Resolved::new(color + transmittance * pixel.background, transmittance)
+    }
+
+    fn cost(&self, complexity: &DepthComplexity) -> Cost {
+        list_cost(complexity.mean)
+    }
+
+    fn properties(&self) -> Properties {
+        Properties::EXACT
+    }
+}
+
+/// The A-buffer whose pixel lists hold `capacity` fragments.
+struct LimitedABuffer {
+    capacity: usize,
+    blend_tail: bool,
+}
+
+impl LimitedABuffer {
+    /// MB13 eq. 5 over the background: what lies behind the kept fragments.
+    fn tail(&self, list: List<'_>, background: DVec3) -> (DVec3, f64) {
+        let (mut color, mut alpha, mut transmittance) = (DVec3::ZERO, 0.0, 1.0);
+        if self.blend_tail {
+            for f in list.iter().skip(self.capacity) {
+                color += Vec3::from(f.color).as_dvec3();
+                alpha += f64::from(f.alpha);
+                transmittance *= 1.0 - f64::from(f.alpha);
+            }
+        }
+        let mean = if alpha > 0.0 { color / alpha } else { DVec3::ZERO };
+        ((1.0 - transmittance) * mean + transmittance * background, transmittance)
+    }
+}
+
+impl Technique for LimitedABuffer {
+    type Scratch = Vec<(u64, u32)>;
+
+    #[expect(clippy::cast_possible_truncation, reason = "a pixel's list is far shorter than 2^32")]
+    fn resolve(&self, pixel: &Pixel<'_>, order: &mut Self::Scratch) -> Resolved {
+        let list = pixel.list;
+        let kept = list.len().min(self.capacity);
+        order.clear();
+        order.extend((0..kept).map(|i| (sort_key(list.depth[i], list.primitive[i]), i as u32)));
+        order.sort_unstable();
+        let (mut color, mut transmittance) = (DVec3::ZERO, 1.0);
+        for &(_, i) in order.iter() {
+            color += transmittance * Vec3::from(list.color[i as usize]).as_dvec3();
+            transmittance *= 1.0 - f64::from(list.alpha[i as usize]);
+        }
+        let (behind, tail_transmittance) = self.tail(list, pixel.background);
+        Resolved {
+            dropped: if self.blend_tail { 0 } else { (list.len() - kept) as u64 },
+            ..Resolved::new(color + transmittance * behind, transmittance * tail_transmittance)
+        }
+    }
+
+    #[expect(clippy::cast_precision_loss, reason = "a cost estimate")]
+    fn cost(&self, complexity: &DepthComplexity) -> Cost {
+        list_cost(complexity.mean.min(self.capacity as f64))
+    }
+
+    fn properties(&self) -> Properties {
+        Properties {
+            consistent: true,
+            exact_for_one: true,
+            exact_coverage: self.blend_tail,
+            ..Properties::NONE
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::params::Input;
+    use crate::techniques::testing::{assert_close, over, resolve, three_layers};
+    use glam::DVec3;
+
+    #[test]
+    fn three_layers_by_hand() {
+        // front to back: 0.25 of (1, .3, .1), 0.375 of (.1, .9, .2), 0.28125 of (.2, .1, 1), 0.09375 of C_0
+        let expected = DVec3::new(0.367_187_5, 0.487_5, 0.451_562_5);
+        let got = resolve("a_buffer", &[], &three_layers());
+        assert_close(got, expected, 0.093_75, 1e-7);
+    }
+
+    #[test]
+    fn equals_the_definition_in_any_order_and_on_ties() {
+        let mut fragments = three_layers();
+        fragments[0].depth = fragments[1].depth;
+        let (color, transmittance) = over(&fragments);
+        assert_close(resolve("over", &[], &fragments), color, transmittance, 1e-15);
+        fragments.reverse();
+        assert_close(resolve("a_buffer", &[], &fragments), color, transmittance, 1e-15);
+    }
+
+    #[test]
+    fn a_full_list_drops_late_fragments_and_counts_them() {
+        let fragments = three_layers();
+        let params = [("overflow", Input::Text("drop".into())), ("capacity", Input::Int(2))];
+        let got = resolve("a_buffer", &params, &fragments);
+        let (color, transmittance) = over(&fragments[..2]);
+        assert_close(got, color, transmittance, 1e-15);
+        assert_eq!(got.dropped, 1);
+    }
+
+    #[test]
+    fn a_blended_tail_keeps_the_coverage() {
+        let fragments = three_layers();
+        let params = [("overflow", Input::Text("tail_blend".into())), ("capacity", Input::Int(2))];
+        let got = resolve("a_buffer", &params, &fragments);
+        let (color, transmittance) = over(&fragments); // the one tail fragment is also the farthest
+        assert_close(got, color, transmittance, 1e-7);
+        assert_eq!(got.dropped, 0);
+    }
+}
