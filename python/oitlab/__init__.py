@@ -1,0 +1,55 @@
+"""oitlab: the lab bench for order-independent transparency.
+
+A scene goes in; the exact image, any technique's image, its error, its time and its memory come out, as NumPy
+arrays.
+
+Colours are linear RGB (Rec. 709 primaries, D65); alpha is straight where you give it and premultiplied inside
+fragments. Images are (H, W, 3), row 0 on top. Wrong input raises ValueError (OSError for files) naming the
+culprit.
+
+Examples
+--------
+>>> import oitlab
+>>> scene = oitlab.scenes.squares(width=64, height=36)
+>>> exact = oitlab.render(scene, "a_buffer")
+>>> approximate = oitlab.render(scene, "wboit", {"weight": "mb7"})
+>>> oitlab.compare(approximate, exact)["rmse"] > 0
+True
+"""
+
+from . import scenes
+from ._oitlab import __version__
+from .exr import read_exr, write_exr
+from .fragments import Fragments
+from .frame import Frame, Stats
+from .loading import LoadWarning, TextureWarning, load
+from .metrics import compare, error_map
+from .png import write_png
+from .registry import ParamInfo, TechniqueInfo, techniques
+from .rendering import capture, render, render_many
+from .scene import Camera, Mesh, Scene
+
+__all__ = [
+    "Camera",
+    "Fragments",
+    "Frame",
+    "LoadWarning",
+    "Mesh",
+    "ParamInfo",
+    "Scene",
+    "Stats",
+    "TechniqueInfo",
+    "TextureWarning",
+    "__version__",
+    "capture",
+    "compare",
+    "error_map",
+    "load",
+    "read_exr",
+    "render",
+    "render_many",
+    "scenes",
+    "techniques",
+    "write_exr",
+    "write_png",
+]

@@ -1,0 +1,174 @@
+"""The techniques that the compiled core has, as data."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from html import escape
+from types import MappingProxyType
+from typing import Any, overload
+
+from . import _oitlab
+
+
+@dataclass(frozen=True)
+class ParamInfo:
+    """One parameter of a technique."""
+
+    name: str
+    type: str
+    range: str
+    default: Any
+    doc: str
+
+
+@dataclass(frozen=True)
+class TechniqueInfo:
+    """One technique: what it is, where it comes from, and what it takes."""
+
+    id: str
+    name: str
+    aliases: tuple[str, ...]
+    citation: tuple[str, ...]
+    """Keys into `references.bib`."""
+    doc: str
+    axes: Mapping[str, str]
+    """Its choices on the continuum: memory, insertion, merge, normalize, opacity."""
+    properties: Mapping[str, Any]
+    """What its image guarantees: order_independent, unbiased, consistent, ..."""
+    params: tuple[ParamInfo, ...]
+    backends: tuple[str, ...]
+    geometry_passes: str
+    """Geometry passes of a streaming GPU implementation; may depend on params, hence text."""
+    bytes_per_pixel: str
+
+    def __str__(self) -> str:
+        lines = [f"{self.id}: {self.name} [{', '.join(self.citation)}]", "", self.doc.strip()]
+        if self.params:
+            rows = [(p.name, p.type, p.range, repr(p.default), p.doc) for p in self.params]
+            lines += ["", _text_table(("param", "type", "range", "default", "meaning"), rows)]
+        return "\n".join(lines)
+
+
+class TechniqueTable(Sequence[TechniqueInfo]):
+    """All techniques, in the registry's order; index by position, id or alias.
+
+    Prints as a plain-text table, and as HTML in notebooks.
+
+    Examples
+    --------
+    >>> techniques()["over"].id
+    'a_buffer'
+    >>> "wboit" in techniques().ids
+    True
+    """
+
+    __slots__ = ("_entries",)
+
+    def __init__(self, entries: Iterable[TechniqueInfo]) -> None:
+        self._entries = tuple(entries)
+
+    @property
+    def ids(self) -> tuple[str, ...]:
+        """The ids, in order."""
+        return tuple(entry.id for entry in self._entries)
+
+    @overload
+    def __getitem__(self, key: int | str) -> TechniqueInfo: ...
+    @overload
+    def __getitem__(self, key: slice) -> TechniqueTable: ...
+    def __getitem__(self, key: int | str | slice) -> TechniqueInfo | TechniqueTable:
+        if isinstance(key, slice):
+            return TechniqueTable(self._entries[key])
+        if isinstance(key, int):
+            return self._entries[key]
+        entry = self.get(key)
+        if entry is None:
+            raise KeyError(f"unknown technique {key!r}; known: {', '.join(self.ids)}")
+        return entry
+
+    def get(self, key: str) -> TechniqueInfo | None:
+        """Find a technique by id or alias; None when there is none."""
+        return next((entry for entry in self._entries if key == entry.id or key in entry.aliases), None)
+
+    def __contains__(self, item: object) -> bool:
+        return self.get(item) is not None if isinstance(item, str) else item in self._entries
+
+    def __iter__(self) -> Iterator[TechniqueInfo]:
+        return iter(self._entries)
+
+    def __len__(self) -> int:
+        return len(self._entries)
+
+    def __eq__(self, other: object) -> bool:
+        return self._entries == other._entries if isinstance(other, TechniqueTable) else NotImplemented
+
+    def __hash__(self) -> int:
+        return hash(self.ids)
+
+    def __str__(self) -> str:
+        return _text_table(_COLUMNS, [_row(entry) for entry in self._entries])
+
+    def __repr__(self) -> str:
+        return str(self)
+
+    def _repr_html_(self) -> str:
+        head = "".join(f"<th>{escape(column)}</th>" for column in _COLUMNS)
+        body = "".join(
+            "<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in _row(entry)) + "</tr>"
+            for entry in self._entries
+        )
+        return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+
+
+@cache
+def techniques() -> TechniqueTable:
+    """Every technique that can be rendered.
+
+    Examples
+    --------
+    >>> [param.name for param in techniques()["lwboit"].params if param.name == "bins"]
+    ['bins']
+    """
+    return TechniqueTable(_entry(raw) for raw in _oitlab.techniques())
+
+
+_COLUMNS = ("id", "name", "params", "passes", "bytes/pixel", "backends", "source")
+
+
+def _row(entry: TechniqueInfo) -> tuple[str, ...]:
+    return (
+        entry.id,
+        entry.name,
+        " ".join(param.name for param in entry.params),
+        entry.geometry_passes,
+        entry.bytes_per_pixel,
+        " ".join(entry.backends),
+        " ".join(entry.citation),
+    )
+
+
+def _text_table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    widths = [max(map(len, cells)) for cells in zip(columns, *rows, strict=True)]
+    lines = [columns, ["-" * width for width in widths], *rows]
+    return "\n".join(
+        "  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip()
+        for line in lines
+    )
+
+
+def _entry(raw: Mapping[str, Any]) -> TechniqueInfo:
+    return TechniqueInfo(
+        id=raw["id"],
+        name=raw["name"],
+        aliases=tuple(raw["aliases"]),
+        citation=tuple(raw["citation"]),
+        doc=raw["doc"],
+        axes=MappingProxyType(dict(raw["axes"])),
+        properties=MappingProxyType(dict(raw["properties"])),
+        params=tuple(ParamInfo(**param) for param in raw["params"]),
+        backends=tuple(raw["backends"]),
+        geometry_passes=raw["geometry_passes"],
+        bytes_per_pixel=raw["bytes_per_pixel"],
+    )

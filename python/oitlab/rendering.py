@@ -1,0 +1,194 @@
+"""The verbs: `render`, `render_many` and `capture`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any, Literal
+
+import numpy as np
+
+from . import _oitlab
+from ._convert import count
+from ._convert import params as python_params
+from .fragments import Fragments
+from .frame import Frame, Stats
+from .registry import techniques
+from .scene import Scene
+
+Variant = str | tuple[str, Mapping[str, Any] | None]
+"""A technique's id, alone or with its params."""
+
+
+def render(
+    source: Scene | Fragments,
+    technique: str,
+    params: Mapping[str, Any] | None = None,
+    *,
+    backend: Literal["cpu", "gpu"] = "cpu",
+    threads: int | None = None,
+    skip: bool = True,
+    dtype: Any = "float32",
+    diagnostics: bool = False,
+) -> Frame:
+    """One technique's image of a scene or of captured fragments.
+
+    Parameters
+    ----------
+    source : Scene or Fragments
+    technique : str
+        An id or alias of `oitlab.techniques()`.
+    params : mapping, optional
+        The technique's parameters; those left out take their defaults.
+    backend : {"cpu", "gpu"}
+        "cpu" is the definition. A technique without a GPU form refuses "gpu".
+    threads : int >= 1, optional
+        All cores when absent. The image never depends on it.
+    skip : bool
+        False does the work that is provably unnecessary too.
+    dtype : {"float32", "float64"}
+        Of `Frame.color` and `Frame.transmittance`.
+    diagnostics : bool
+        Only False: per-pixel diagnostics are not available yet.
+
+    Returns
+    -------
+    Frame
+
+    Raises
+    ------
+    ValueError
+        Unknown technique, backend or dtype; a parameter that is unknown, of the wrong type or out of range.
+
+    Examples
+    --------
+    >>> import oitlab
+    >>> scene = oitlab.scenes.squares(width=32, height=18)
+    >>> frame = oitlab.render(scene, "wboit", {"weight": "mb7"})
+    >>> frame.color.shape, str(frame.color.dtype), frame.technique
+    ((18, 32, 3), 'float32', 'wboit')
+    """
+    keywords = {"backend": backend, "threads": threads, "skip": skip, "dtype": dtype}
+    return render_many(source, [(technique, params)], diagnostics=diagnostics, **keywords)[0]
+
+
+def render_many(
+    source: Scene | Fragments,
+    variants: Iterable[Variant],
+    *,
+    backend: Literal["cpu", "gpu"] = "cpu",
+    threads: int | None = None,
+    skip: bool = True,
+    dtype: Any = "float32",
+    diagnostics: bool = False,
+) -> list[Frame]:
+    """Several images of one source for one rasterisation.
+
+    Parameters
+    ----------
+    source : Scene or Fragments
+    variants : iterable of (technique, params) or of technique ids
+        May be empty, and may repeat itself.
+    backend, threads, skip, dtype, diagnostics
+        As in `render`.
+
+    Returns
+    -------
+    list of Frame
+        In the order of `variants`.
+
+    Raises
+    ------
+    ValueError
+        As `render`; nothing is drawn when one variant is wrong.
+
+    Examples
+    --------
+    >>> import oitlab
+    >>> scene = oitlab.scenes.squares(width=32, height=18)
+    >>> exact, fast = oitlab.render_many(scene, ["a_buffer", ("wboit", {"weight": "mb9"})])
+    >>> exact.scene_hash == fast.scene_hash == scene.content_hash
+    True
+    """
+    requested = [_variant(variant) for variant in variants]
+    if not isinstance(source, Scene | Fragments):
+        raise ValueError(f"source must be a Scene or Fragments, got {type(source).__name__}")
+    _check_backend(backend, requested)
+    if diagnostics:
+        raise ValueError("diagnostics=True is not available yet; leave it False")
+    frames = _oitlab.render(source._handle, requested, _threads(threads), bool(skip), _is_float64(dtype))
+    return [_frame(raw) for raw in frames]
+
+
+def capture(scene: Scene, *, threads: int | None = None) -> Fragments:
+    """Rasterise once and keep every transparent fragment.
+
+    Parameters
+    ----------
+    scene : Scene
+    threads : int >= 1, optional
+        All cores when absent.
+
+    Returns
+    -------
+    Fragments
+        Rendering them gives the same bits as rendering `scene`.
+
+    Examples
+    --------
+    >>> import oitlab
+    >>> fragments = oitlab.capture(oitlab.scenes.squares(width=32, height=18))
+    >>> int(fragments.counts.sum()) == len(fragments)
+    True
+    """
+    if not isinstance(scene, Scene):
+        raise ValueError(f"scene must be a Scene, got {type(scene).__name__}")
+    return Fragments._wrap(_oitlab.capture(scene._handle, _threads(threads)))
+
+
+def _variant(variant: Variant) -> tuple[str, dict[str, Any]]:
+    if isinstance(variant, str):
+        return variant, {}
+    try:
+        technique, params = variant
+    except (TypeError, ValueError):
+        raise ValueError(f"a variant is a technique id or (id, params), got {variant!r}") from None
+    if not isinstance(technique, str):
+        raise ValueError(f"a technique is named by its id, got {technique!r}")
+    return technique, python_params(params, technique)
+
+
+def _check_backend(backend: str, variants: Iterable[tuple[str, dict[str, Any]]]) -> None:
+    if backend not in ("cpu", "gpu"):
+        raise ValueError(f"unknown backend {backend!r}; known: cpu, gpu")
+    for technique, _ in variants:
+        entry = techniques().get(technique)
+        if entry is not None and backend not in entry.backends:
+            known = ", ".join(entry.backends)
+            raise ValueError(f"{entry.id!r} has no {backend.upper()} form yet; its backends: {known}")
+
+
+def _threads(threads: int | None) -> int | None:
+    return None if threads is None else count(threads, "threads")
+
+
+def _is_float64(dtype: Any) -> bool:
+    try:
+        name = str(np.dtype(dtype))
+    except TypeError:
+        name = str(dtype)
+    if name not in ("float32", "float64"):
+        raise ValueError(f"dtype must be 'float32' or 'float64', got {dtype!r}")
+    return name == "float64"
+
+
+def _frame(raw: _oitlab.Frame) -> Frame:
+    return Frame(
+        color=raw.color,
+        transmittance=raw.transmittance,
+        technique=raw.technique,
+        params=raw.params,
+        scene_hash=raw.source_hash,
+        stats=Stats(**raw.stats),
+        first_depth=raw.first_depth,
+        fragment_count=raw.fragment_count,
+    )
