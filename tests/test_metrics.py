@@ -4,7 +4,6 @@ import sys
 import numpy as np
 import pytest
 from handmade import frame, random_image
-
 from oitlab.metrics import METRICS, compare, error_map
 
 REC_709 = np.array([[0.64, 0.33], [0.30, 0.60], [0.15, 0.06]])
@@ -177,7 +176,6 @@ class TestPerceptualMetrics:
         assert 0.9 < far["flip"] <= 1.0
         # Linear light goes in: the same as feeding FLIP the sRGB-encoded pictures.
         from flip_evaluator import evaluate
-
         from oitlab._image import srgb_encode
 
         image, reference = random_image(4, 20, 30), random_image(5, 20, 30)

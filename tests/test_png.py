@@ -1,10 +1,9 @@
 import numpy as np
 import pytest
 from handmade import frame, random_image
-from PIL import Image
-
 from oitlab._image import srgb_encode
 from oitlab.png import write_png
+from PIL import Image
 
 
 def read(path):

@@ -1,0 +1,363 @@
+"""The command line: `oitlab render`, `oitlab compare`, `oitlab techniques`, `oitlab demo`.
+
+A scene is a mesh file or `scene:NAME`, one of the procedural scenes of `oitlab.scenes`. Every error is one
+line on stderr and exit status 2.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import os
+import sys
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from .frame import Frame
+    from .report import Comparison
+    from .scene import Scene
+
+__all__ = ["main"]
+
+_SCENE_PREFIX = "scene:"
+_INTERRUPTED = 130
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        Without the program's name; `sys.argv[1:]` when absent.
+
+    Returns
+    -------
+    int
+        0 on success, 2 after an error (printed on stderr), 130 after Ctrl-C.
+
+    Examples
+    --------
+    >>> main(["techniques", "--ids"])
+    a_buffer
+    ...
+    0
+    """
+    options = _parser().parse_args(arguments)
+    try:
+        with _plain_warnings():
+            options.run(options)
+            sys.stdout.flush()
+    except BrokenPipeError:  # the reader of our output went away: `oitlab techniques | head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except (ValueError, OSError, ImportError, MemoryError) as error:
+        print(f"oitlab: error: {str(error) or type(error).__name__}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("oitlab: interrupted", file=sys.stderr)
+        return _INTERRUPTED
+    return 0
+
+
+def parse_variant(text: str) -> tuple[str, dict[str, Any]]:
+    """Read one item of `--techniques`: an id, then parameters after colons.
+
+    Parameters
+    ----------
+    text : str
+        Such as "lwboit:bins=64:smooth=false".
+
+    Returns
+    -------
+    tuple of str and dict
+
+    Raises
+    ------
+    ValueError
+        A parameter without "=".
+
+    Examples
+    --------
+    >>> parse_variant("lwboit:bins=64:bin_function=tent")
+    ('lwboit', {'bins': 64, 'bin_function': 'tent'})
+    """
+    technique, *settings = text.split(":")
+    return technique.strip(), dict(map(parse_param, settings))
+
+
+def parse_param(text: str) -> tuple[str, Any]:
+    """Read "name=value"; the value as a JSON number, true, false or null where it is one, else as text.
+
+    Raises
+    ------
+    ValueError
+        No "=" or no name.
+
+    Examples
+    --------
+    >>> parse_param("bins=64"), parse_param("smooth=false"), parse_param("weight=mb7")
+    (('bins', 64), ('smooth', False), ('weight', 'mb7'))
+    """
+    name, equals, value = text.partition("=")
+    if not equals or not name.strip():
+        raise ValueError(f"parameter {text!r}: expected name=value")
+    with contextlib.suppress(json.JSONDecodeError):
+        parsed = json.loads(value)
+        if not isinstance(parsed, list | dict | str):
+            return name.strip(), parsed
+    return name.strip(), value.strip()
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="oitlab", description="The lab bench for order-independent transparency."
+    )
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    _add_render(commands)
+    _add_compare(commands)
+    _add_techniques(commands)
+    _add_demo(commands)
+    return parser
+
+
+def _add_render(commands: Any) -> None:
+    command = commands.add_parser("render", help="render a scene with one technique")
+    _add_scene(command)
+    command.add_argument(
+        "--technique", default="a_buffer", metavar="ID", help="default: a_buffer, the exact image"
+    )
+    command.add_argument("--param", action="append", default=[], metavar="NAME=VALUE", help="repeatable")
+    command.add_argument("-o", "--output", type=Path, metavar="FILE", help="write FILE.exr or FILE.png")
+    command.add_argument(
+        "--png", nargs="?", const="", metavar="FILE", help="also a PNG, by default beside the output"
+    )
+    command.add_argument(
+        "--exposure", type=float, default=0.0, metavar="STOPS", help="of the PNG; default: 0"
+    )
+    command.add_argument("--half", action="store_true", help="16-bit floats in the EXR")
+    command.add_argument(
+        "--reference", metavar="ID", help="measure against this technique, keep the error map"
+    )
+    command.set_defaults(run=_render)
+
+
+def _add_compare(commands: Any) -> None:
+    command = commands.add_parser("compare", help="compare techniques with the exact image")
+    _add_scene(command)
+    command.add_argument(
+        "--techniques", metavar="A,B,...", help="ids, with parameters as in lwboit:bins=64; default: all"
+    )
+    command.add_argument("--reference", default="a_buffer", metavar="ID", help="default: a_buffer")
+    command.add_argument(
+        "-o", "--output", type=Path, metavar="FOLDER", help="write EXR, contact sheet and CSV there"
+    )
+    command.set_defaults(run=_compare)
+
+
+def _add_techniques(commands: Any) -> None:
+    command = commands.add_parser("techniques", help="list the techniques, or describe some")
+    command.add_argument("ids", nargs="*", metavar="ID", help="describe these")
+    command.add_argument("--ids", dest="only_ids", action="store_true", help="print nothing but the ids")
+    command.set_defaults(run=_techniques)
+
+
+def _add_demo(commands: Any) -> None:
+    command = commands.add_parser("demo", help="compare all techniques on two scenes")
+    command.add_argument("-o", "--output", type=Path, default=Path("out/demo"), metavar="FOLDER")
+    _add_size(command)
+    command.set_defaults(run=_demo)
+
+
+def _add_scene(command: argparse.ArgumentParser) -> None:
+    command.add_argument("scene", metavar="FILE", help="a mesh file, or scene:NAME (squares, soup, ...)")
+    command.add_argument(
+        "--opacity", type=float, metavar="ALPHA", help="replace every alpha of the file, in [0, 1]"
+    )
+    command.add_argument("--seed", type=int, metavar="N", help="of a procedural scene")
+    command.add_argument("--background", type=float, nargs=3, metavar=("R", "G", "B"), help="linear")
+    _add_size(command)
+
+
+def _add_size(command: argparse.ArgumentParser) -> None:
+    command.add_argument("--width", type=int, default=1280, metavar="PIXELS")
+    command.add_argument("--height", type=int, default=720, metavar="PIXELS")
+    command.add_argument("--threads", type=int, metavar="N", help="default: all")
+
+
+def _render(options: argparse.Namespace) -> None:
+    from .metrics import compare
+    from .rendering import render_many
+
+    targets = _targets(options)
+    params = dict(map(parse_param, options.param))
+    scene = _scene(options)
+    jobs = [(options.technique, params), *([(options.reference, {})] if options.reference else [])]
+    frame, *exact = render_many(scene, jobs, threads=options.threads)
+    for target in targets:
+        _write(target, frame, exact[0] if exact else None, options)
+    stats = frame.stats
+    print(f"{frame.technique}: raster {stats.raster_ms:.1f} ms, resolve {stats.resolve_ms:.1f} ms")
+    for name, value in (compare(frame, exact[0]) if exact else {}).items():
+        print(f"{name}: {value:.6g}")
+
+
+def _targets(options: argparse.Namespace) -> list[Path]:
+    """Give the files to write, refused before anything is rendered if they cannot be."""
+    targets = [options.output] if options.output else []
+    if options.png is not None:
+        if not options.png and not options.output:
+            raise ValueError("--png: name its file, or give --output")
+        targets.append(Path(options.png) if options.png else options.output.with_suffix(".png"))
+    if not targets:
+        raise ValueError("nothing to write: give --output FILE.exr or --png FILE.png")
+    for index, target in enumerate(targets):
+        allowed = (".exr", ".png") if index == 0 and options.output else (".png",)
+        if target.suffix.lower() not in allowed:
+            raise ValueError(f"{target}: expected a name that ends in {' or '.join(allowed)}")
+        if not target.parent.is_dir():
+            raise FileNotFoundError(f"{target}: the folder {target.parent} does not exist")
+    return list(dict.fromkeys(targets))
+
+
+def _write(target: Path, frame: Frame, exact: Frame | None, options: argparse.Namespace) -> None:
+    from .exr import write_exr
+    from .png import write_png
+
+    if target.suffix.lower() == ".exr":
+        write_exr(target, frame, reference=exact, half=options.half)
+    else:
+        write_png(target, frame, exposure=options.exposure)
+    print(f"wrote {target}")
+
+
+def _compare(options: argparse.Namespace) -> None:
+    names = options.techniques
+    variants = _all_techniques() if names is None else [parse_variant(text) for text in names.split(",")]
+    scene = _scene(options)
+    title = options.scene.removeprefix(_SCENE_PREFIX)
+    comparison = _measured(scene, variants, title, options.threads, options.reference)
+    _print_table(comparison, title)
+    if options.output:
+        _write_folder(options.output, comparison, Path(title).stem, title)
+
+
+def _techniques(options: argparse.Namespace) -> None:
+    from .registry import techniques
+
+    table = techniques()
+    if options.only_ids:
+        print("\n".join(table.ids))
+    elif not options.ids:
+        print(table)
+    else:
+        for name in options.ids:
+            if name not in table:
+                raise ValueError(f"unknown technique {name!r}; known: {', '.join(table.ids)}")
+        print("\n\n".join(str(table[name]) for name in options.ids))
+
+
+def _demo(options: argparse.Namespace) -> None:
+    from . import scenes
+
+    size = {"width": options.width, "height": options.height}
+    demos: dict[str, Callable[..., Scene]] = {"squares": scenes.squares, "torus_knot": scenes.torus_knot}
+    for name, make in demos.items():
+        comparison = _measured(make(**size), _all_techniques(), name, options.threads, "a_buffer")
+        _print_table(comparison, name)
+        _write_folder(options.output, comparison, name, name)
+
+
+def _all_techniques() -> list[tuple[str, dict[str, Any]]]:
+    from .registry import techniques
+
+    return [(name, {}) for name in techniques().ids]
+
+
+def _scene(options: argparse.Namespace) -> Scene:
+    changes: dict[str, Any] = {"width": options.width, "height": options.height}
+    if options.background is not None:
+        changes["background"] = tuple(options.background)
+    if not options.scene.startswith(_SCENE_PREFIX):
+        if options.seed is not None:
+            raise ValueError("--seed: only for procedural scenes")
+        from .loading import load
+
+        return load(options.scene, opacity=options.opacity, **changes)
+    if options.opacity is not None:
+        raise ValueError("--opacity: only for mesh files, a procedural scene has its own alphas")
+    make = _procedural(options.scene.removeprefix(_SCENE_PREFIX))
+    return make(seed=options.seed or 0).replace(**changes)
+
+
+def _procedural(name: str) -> Callable[..., Scene]:
+    from .scenes import SCENES
+
+    if name not in SCENES:
+        raise ValueError(f"unknown scene {name!r}; known: {', '.join(SCENES)}")
+    return SCENES[name]
+
+
+def _measured(
+    scene: Scene,
+    variants: Sequence[tuple[str, dict[str, Any]]],
+    title: str,
+    threads: int | None,
+    reference: str,
+) -> Comparison:
+    from tqdm import tqdm
+
+    from .report import compare_techniques
+
+    with tqdm(total=len(variants), desc=title, unit="technique", file=sys.stderr, leave=False) as bar:
+
+        def advance(label: str) -> None:
+            bar.set_postfix_str(label, refresh=False)
+            bar.update(min(1, len(variants) - bar.n))
+
+        return compare_techniques(scene, variants, reference=reference, threads=threads, progress=advance)
+
+
+def _print_table(comparison: Comparison, title: str) -> None:
+    from rich.console import Console
+
+    from .report import table
+
+    console = Console(soft_wrap=True, highlight=False)
+    view = table(comparison, title)
+    console.width = max(console.width, console.measure(view).maximum)
+    console.print(view)
+
+
+def _write_folder(folder: Path, comparison: Comparison, stem: str, title: str) -> None:
+    """Write `stem`.csv, `stem`.png and one EXR with its error map per technique."""
+    from .exr import write_exr
+    from .report import headline, write_csv
+    from .sheet import write_contact_sheet
+
+    folder.mkdir(parents=True, exist_ok=True)
+    for row, frame in zip(comparison.rows, comparison.frames, strict=True):
+        write_exr(folder / f"{stem}-{_file_name(row.label)}.exr", frame, reference=comparison.reference)
+    write_csv(folder / f"{stem}.csv", comparison)
+    write_contact_sheet(folder / f"{stem}.png", comparison, headline(comparison, title))
+    print(f"wrote {folder / stem}.png, .csv and {len(comparison.rows)} EXR files\n")
+
+
+def _file_name(label: str) -> str:
+    """Keep what is safe in a file name: "lwboit bins=64" becomes "lwboit-bins=64"."""
+    return "".join(c if c.isalnum() or c in "._=-" else "-" for c in label)
+
+
+@contextlib.contextmanager
+def _plain_warnings() -> Iterator[None]:
+    """Print warnings as one line without the place in the code they come from."""
+
+    def show(message: Warning | str, *_: Any, **__: Any) -> None:
+        print(f"oitlab: warning: {message}", file=sys.stderr)
+
+    with warnings.catch_warnings():
+        warnings.showwarning = show
+        yield
