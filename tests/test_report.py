@@ -29,8 +29,8 @@ def comparison(*images, reference, labels=None):
 
 def printed(result):
     console = Console(file=io.StringIO(), width=200)
-    console.print(table(result, "soup"))
-    return console.file.getvalue()
+    console.print(table(result))
+    return f"{headline(result, 'soup')}\n{console.file.getvalue()}"
 
 
 class TestRows:

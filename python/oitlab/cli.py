@@ -238,7 +238,7 @@ def _compare(options: argparse.Namespace) -> None:
     names = options.techniques
     variants = _all_techniques() if names is None else [parse_variant(text) for text in names.split(",")]
     scene = _scene(options)
-    title = options.scene.removeprefix(_SCENE_PREFIX)
+    title = Path(options.scene.removeprefix(_SCENE_PREFIX)).name
     comparison = _measured(scene, variants, title, options.threads, options.reference)
     _print_table(comparison, title)
     if options.output:
@@ -324,12 +324,14 @@ def _measured(
 def _print_table(comparison: Comparison, title: str) -> None:
     from rich.console import Console
 
-    from .report import table
+    from .report import headline, table
 
-    console = Console(soft_wrap=True, highlight=False)
-    view = table(comparison, title)
-    console.width = max(console.width, console.measure(view).maximum)
-    console.print(view)
+    print(headline(comparison, title))
+    view = table(comparison)
+    natural = (
+        Console(width=10_000).measure(view).maximum
+    )  # rich would rather cut columns off than exceed the width
+    Console(width=natural, highlight=False).print(view)
 
 
 def _write_folder(folder: Path, comparison: Comparison, stem: str, title: str) -> None:

@@ -231,15 +231,13 @@ _COLUMNS: tuple[tuple[str, Callable[[Row], str]], ...] = (
 )
 
 
-def table(comparison: Comparison, title: str) -> Table:
-    """Lay the rows out as a rich table.
+def table(comparison: Comparison) -> Table:
+    """Lay the rows out as a rich table; `headline` belongs above it.
 
     Parameters
     ----------
     comparison : Comparison
         What `compare_techniques` gave.
-    title : str
-        Stands above the table, with the scene's statistics.
 
     Returns
     -------
@@ -250,13 +248,13 @@ def table(comparison: Comparison, title: str) -> Table:
     --------
     >>> import oitlab
     >>> scene = oitlab.scenes.squares(width=32, height=18)
-    >>> table(compare_techniques(scene, [("wboit", {})]), "squares").row_count
+    >>> table(compare_techniques(scene, [("wboit", {})])).row_count
     1
     """
     from rich import box
     from rich.table import Table
 
-    view = Table(title=headline(comparison, title), title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+    view = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     for index, (name, _) in enumerate(_COLUMNS):
         view.add_column(name, justify="right" if index else "left", no_wrap=True)
     for row in comparison.rows:
