@@ -169,9 +169,10 @@ class TestContactSheet:
         assert _reduced(image, 2, np.max).tolist() == [[0, 0, 0, 0], [0, 0, 0, 0], [0, 0, 0, 8]]
         assert _reduced(np.arange(16.0).reshape(4, 4), 2, np.mean).tolist() == [[2.5, 4.5], [10.5, 12.5]]
 
+    @pytest.mark.parametrize("count", [1, 5])
     @pytest.mark.parametrize("size", [(1, 1), (3, 200), (200, 3), (131, 257)])
-    def test_odd_sizes(self, tmp_path, size):
-        result = comparison(*[random_image(i, *size) for i in range(5)], reference=random_image(9, *size))
+    def test_odd_sizes(self, tmp_path, size, count):
+        result = comparison(*[random_image(i, *size) for i in range(count)], reference=random_image(9, *size))
         assert self.sheet(tmp_path, result, cell_width=64, columns=3).shape[2] == 3
 
     def test_long_labels_stay_on_their_cell(self, tmp_path):

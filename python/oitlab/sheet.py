@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import math
 import os
+import textwrap
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -31,9 +32,9 @@ _DPI = 100
 _GAP = 14
 _LABEL = 24
 _HEADER = 56
-_FOOTER = 86
+_FOOTER = 116
 _TEXT = 13
-_GLYPH = 0.6
+_GLYPH = 0.56
 """Width of an average letter of the font, in font sizes."""
 
 
@@ -133,8 +134,8 @@ def _cells(comparison: Comparison, exposure: float, cell_width: int) -> Iterator
     width = exact.color.shape[1]
     down, up = math.ceil(width / cell_width), max(1, cell_width // width)
     yield _Cell(
-        f"reference: {exact.technique}",
-        "below: fragments per pixel",
+        f"{exact.technique} (reference)",
+        "fragments/pixel below",
         _picture(exact.color, exposure, down, up),
         _enlarged(_reduced(exact.fragment_count.astype(np.float64), down, np.max), up),
     )
@@ -234,16 +235,20 @@ class _Canvas:
     def bar(self, column: int, scale: _Scale, text: str, ticks: list[float] | None) -> None:
         """Draw a colour bar at the foot: under the first column, or under all others."""
         from matplotlib.cm import ScalarMappable
+        from matplotlib.ticker import MaxNLocator
 
         width, height = self.page.size
-        start = self.page.corner(column)[0] + column * 3 * _GAP
-        length = self.page.width if column == 0 else width - 3 * _GAP - start
+        indent = column * min(2 * _GAP, self.page.width // 8)  # room for the outermost numbers
+        start = self.page.corner(column)[0] + indent
+        length = self.page.width if column == 0 else width - _GAP - indent - start
         axes = self._axes(start, height - _FOOTER + 20, length, 14)
         bar = self.figure.colorbar(
             ScalarMappable(scale.norm, scale.colors), cax=axes, orientation="horizontal"
         )
-        bar.set_label(text, fontsize=_TEXT * 72 / _DPI)
-        if ticks is not None:
+        bar.set_label(textwrap.fill(text, max(1, int(length / (_GLYPH * _TEXT)))), fontsize=_TEXT * 72 / _DPI)
+        if ticks is None:
+            bar.ax.xaxis.set_major_locator(MaxNLocator(integer=True))
+        else:
             bar.set_ticks(ticks, labels=[f"{tick:g}" if tick > 1e-4 else "0.0001" for tick in ticks])
         bar.ax.tick_params(labelsize=_TEXT * 72 / _DPI)
 
