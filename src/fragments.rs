@@ -2,6 +2,7 @@
 
 use crate::error::{Error, Result};
 use crate::params::View;
+use std::sync::OnceLock;
 
 /// One fragment: what a rasteriser hands to a transparency technique.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -180,6 +181,25 @@ impl Lists {
         self.alpha[i] = fragment.alpha;
         self.primitive[i] = fragment.primitive;
     }
+    /// Moves the fragments at `range` to `to`, which is not behind them.
+    pub fn move_rows(&mut self, range: std::ops::Range<usize>, to: usize) {
+        self.depth.copy_within(range.clone(), to);
+        self.color.copy_within(range.clone(), to);
+        self.alpha.copy_within(range.clone(), to);
+        self.primitive.copy_within(range, to);
+    }
+    /// Sets where row `i` ends.
+    #[expect(clippy::cast_possible_wrap, reason = "a Vec holds at most isize::MAX bytes")]
+    pub fn set_row_end(&mut self, i: usize, end: usize) {
+        self.offsets[i + 1] = end as i64;
+    }
+    /// Forgets the fragments from place `len` on.
+    pub fn truncate(&mut self, len: usize) {
+        self.depth.truncate(len);
+        self.color.truncate(len);
+        self.alpha.truncate(len);
+        self.primitive.truncate(len);
+    }
     /// A view of all rows.
     pub fn as_ref(&self) -> ListsRef<'_> {
         ListsRef {
@@ -194,12 +214,16 @@ impl Lists {
     }
     /// Appends all rows of `other`.
     pub fn append(&mut self, other: &Self) {
-        let base = *self.offsets.last().unwrap_or(&0);
-        self.offsets.extend(other.offsets[1..].iter().map(|o| o + base));
-        self.depth.extend_from_slice(&other.depth);
-        self.color.extend_from_slice(&other.color);
-        self.alpha.extend_from_slice(&other.alpha);
-        self.primitive.extend_from_slice(&other.primitive);
+        self.append_rows(other.as_ref());
+    }
+    /// Appends all rows of a view.
+    pub fn append_rows(&mut self, rows: ListsRef<'_>) {
+        let shift = self.offsets[self.offsets.len() - 1] - rows.offsets[0];
+        self.offsets.extend(rows.offsets[1..].iter().map(|o| o + shift));
+        self.depth.extend_from_slice(rows.all.depth);
+        self.color.extend_from_slice(rows.all.color);
+        self.alpha.extend_from_slice(rows.all.alpha);
+        self.primitive.extend_from_slice(rows.all.primitive);
     }
 }
 
@@ -237,6 +261,7 @@ pub struct Fragments {
     pub view: View,
     /// View depth of every primitive's centroid, by primitive id; `None` where it is not known.
     pub primitive_depth: Option<Vec<f64>>,
+    hash: OnceLock<blake3::Hash>,
 }
 
 /// What [`Fragments::new`] takes, before it is checked.
@@ -284,12 +309,49 @@ impl Fragments {
         }
         let depth_range = depth_range.unwrap_or_else(|| kept_depth_range(&lists, near, far));
         let view = View { near, far, depth_range };
-        Ok(Self { width, height, lists, background, view, primitive_depth })
+        Ok(Self::captured(width, height, lists, background, view, primitive_depth))
+    }
+
+    /// Fragments that are valid by construction.
+    pub(crate) fn captured(
+        width: u32,
+        height: u32,
+        lists: Lists,
+        background: Background,
+        view: View,
+        primitive_depth: Option<Vec<f64>>,
+    ) -> Self {
+        Self { width, height, lists, background, view, primitive_depth, hash: OnceLock::new() }
     }
 
     /// The number of pixels.
     pub fn pixels(&self) -> usize {
         self.width as usize * self.height as usize
+    }
+
+    /// A hash of everything that decides a render of these fragments, computed once.
+    pub fn content_hash(&self) -> blake3::Hash {
+        *self.hash.get_or_init(|| self.compute_hash())
+    }
+
+    fn compute_hash(&self) -> blake3::Hash {
+        let mut hasher = blake3::Hasher::new();
+        hasher.update(b"oitlab fragments 1");
+        hasher.update(&self.width.to_le_bytes());
+        hasher.update(&self.height.to_le_bytes());
+        let lists = &self.lists;
+        hash_words(&mut hasher, &lists.offsets, i64::to_le_bytes);
+        hash_words(&mut hasher, &lists.depth, f32::to_le_bytes);
+        hash_words(&mut hasher, lists.color.as_flattened(), f32::to_le_bytes);
+        hash_words(&mut hasher, &lists.alpha, f32::to_le_bytes);
+        hash_words(&mut hasher, &lists.primitive, u32::to_le_bytes);
+        for i in 0..self.pixels() {
+            self.background.at(i).iter().for_each(|c| _ = hasher.update(&c.to_le_bytes()));
+        }
+        let View { near, far, depth_range: (lo, hi) } = self.view;
+        [near, far, lo, hi].iter().for_each(|x| _ = hasher.update(&x.to_le_bytes()));
+        hash_words(&mut hasher, self.primitive_depth.as_deref().unwrap_or(&[]), f64::to_le_bytes);
+        hasher.finalize()
     }
 
     /// View depth by primitive id: as given, or the mean depth (float64) of the primitive's fragments over
@@ -356,6 +418,20 @@ pub(crate) fn check_color(argument: &'static str, color: [f32; 3]) -> Result<()>
     }
     let [r, g, b] = color;
     Err(Error::argument(argument, format!("({r}, {g}, {b}) has a channel that is not finite and >= 0")))
+}
+
+/// Feeds numbers to the hasher in blocks, so that large arrays hash at memory speed.
+pub(crate) fn hash_words<T: Copy, const N: usize>(
+    hasher: &mut blake3::Hasher,
+    words: &[T],
+    bytes: fn(T) -> [u8; N],
+) {
+    let mut block = Vec::with_capacity(4096 * N);
+    for chunk in words.chunks(4096) {
+        block.clear();
+        chunk.iter().for_each(|w| block.extend_from_slice(&bytes(*w)));
+        hasher.update(&block);
+    }
 }
 
 fn check_offsets(lists: &Lists, pixels: usize) -> Result<()> {

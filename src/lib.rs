@@ -1,11 +1,23 @@
 //! The lab bench for order-independent transparency.
 
+#![deny(unsafe_code)]
+#![warn(missing_docs)]
+
+pub mod continuum;
 pub mod error;
 pub mod fragments;
+pub mod frame;
 pub mod order;
 pub mod params;
+#[cfg(feature = "python")]
+mod py;
 pub mod random;
+pub mod raster;
+pub mod render;
+pub mod resolve;
+pub mod scene;
 pub mod technique;
 pub mod techniques;
+pub mod weight;
 
 pub use error::{Error, Result};

@@ -46,15 +46,34 @@ pub enum Kind {
     /// `True` or `False`.
     Bool,
     /// An integer in `min..=max`.
-    Int { min: i64, max: i64 },
+    Int {
+        /// Smallest allowed.
+        min: i64,
+        /// Largest allowed; `i64::MAX` is no limit.
+        max: i64,
+    },
     /// One of a few integers.
     IntChoice(&'static [i64]),
     /// A finite number in `min..=max`, without the end points that are open.
-    Float { min: f64, max: f64, min_open: bool, max_open: bool },
+    Float {
+        /// Lower end.
+        min: f64,
+        /// Upper end.
+        max: f64,
+        /// Whether `min` itself is excluded.
+        min_open: bool,
+        /// Whether `max` itself is excluded.
+        max_open: bool,
+    },
     /// One of a few strings.
     Choice(&'static [&'static str]),
     /// A number or three of them, each in `min..=max`.
-    FloatOrRgb { min: f64, max: f64 },
+    FloatOrRgb {
+        /// Smallest allowed.
+        min: f64,
+        /// Largest allowed.
+        max: f64,
+    },
     /// A depth range: `"pixel"`, `"scene"` or `(z_lo, z_hi)`.
     DepthRange,
 }

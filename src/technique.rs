@@ -123,15 +123,17 @@ pub trait Technique: Send + Sync + 'static {
     fn properties(&self) -> Properties;
 }
 
-/// Pixels that are resolved together: a tile, or a piece of a captured image.
+/// Pixels that are resolved together: a run of pixels, row by row, of a rectangle of the image.
 #[derive(Debug, Clone, Copy)]
 pub struct Batch<'a> {
-    /// Column of the first pixel.
+    /// Column of the rectangle's first pixel.
     pub x: u32,
-    /// Row of the first pixel.
+    /// Row of the rectangle's first pixel.
     pub y: u32,
-    /// Pixels per row of the batch.
+    /// Pixels per row of the rectangle.
     pub width: u32,
+    /// The rectangle's pixel with which the batch begins.
+    pub first: u32,
     /// Fragments in submission order.
     pub lists: ListsRef<'a>,
     /// Fragments nearest first, where somebody asked for them.
@@ -148,9 +150,10 @@ impl<'a> Batch<'a> {
     /// Pixel `i` of the batch.
     #[expect(clippy::cast_possible_truncation, reason = "batches are at most MAX_SIZE squared")]
     pub fn pixel(&self, i: usize) -> Pixel<'a> {
+        let place = self.first + i as u32;
         Pixel {
-            x: self.x + i as u32 % self.width,
-            y: self.y + i as u32 / self.width,
+            x: self.x + place % self.width,
+            y: self.y + place / self.width,
             list: self.lists.row(i),
             sorted: self.sorted.map(|lists| lists.row(i)).unwrap_or_default(),
             background: self.background(i),

@@ -1,0 +1,52 @@
+# `make demo` and `make test` set up everything they need in .venv and target/.
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+RUST_SOURCES := $(shell find src shaders -name '*.rs' -o -name '*.wgsl') Cargo.toml Cargo.lock
+
+.PHONY: demo test test-rust test-python check bench develop format clean
+
+demo: develop
+	$(BIN)/oitlab demo --out out/demo
+
+test: test-rust test-python
+
+test-rust:
+	cargo test --quiet
+
+test-python: develop
+	$(BIN)/python -m pytest
+
+check: develop
+	cargo fmt --check
+	cargo clippy --all-targets --quiet -- -D warnings
+	CARGO_TARGET_DIR=target/python cargo clippy --features python --quiet -- -D warnings
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	$(BIN)/python -m mypy.stubtest oitlab._oitlab --ignore-disjoint-bases
+
+bench: develop
+	$(BIN)/python benches/bench.py
+
+format:
+	cargo fmt
+	$(BIN)/ruff format .
+	$(BIN)/ruff check --fix .
+
+develop: $(VENV)/.built
+
+$(VENV)/.installed: requirements.lock
+	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "oitlab needs Python 3.11 or newer; set PYTHON=")'
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -r requirements.lock
+	touch $@
+
+# The extension gets a target directory of its own: `cargo test` has other features and would rebuild it.
+$(VENV)/.built: $(VENV)/.installed $(RUST_SOURCES) pyproject.toml
+	CARGO_TARGET_DIR=target/python $(BIN)/maturin develop --release --quiet
+	touch $@
+
+clean:
+	rm -rf $(VENV) target out dist

@@ -1,0 +1,92 @@
+//! What a render gives back: images and what they cost.
+
+use crate::params::Params;
+use std::sync::Arc;
+
+/// A sample type of images.
+pub trait Sample: Copy + Send + Sync + Default + 'static {
+    /// The nearest sample; values beyond the type's range become its largest finite value.
+    fn from_f64(value: f64) -> Self;
+    /// Wraps a buffer of samples.
+    fn wrap(samples: Vec<Self>) -> Image;
+}
+
+impl Sample for f32 {
+    #[expect(clippy::cast_possible_truncation, reason = "rounding to the sample type is the point")]
+    fn from_f64(value: f64) -> Self {
+        value.clamp(f64::from(f32::MIN), f64::from(f32::MAX)) as f32
+    }
+    fn wrap(samples: Vec<Self>) -> Image {
+        Image::F32(samples)
+    }
+}
+
+impl Sample for f64 {
+    fn from_f64(value: f64) -> Self {
+        value
+    }
+    fn wrap(samples: Vec<Self>) -> Image {
+        Image::F64(samples)
+    }
+}
+
+/// Samples of an image, row by row from the top, channels together.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Image {
+    /// Single precision.
+    F32(Vec<f32>),
+    /// Double precision.
+    F64(Vec<f64>),
+}
+
+/// One technique's image of a scene.
+#[derive(Debug, Clone)]
+pub struct Frame {
+    /// The technique's id.
+    pub technique: &'static str,
+    /// Every param, resolved.
+    pub params: Params,
+    /// Pixels per row.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+    /// Linear RGB.
+    pub color: Image,
+    /// The background's share: one channel, or three for coloured transmission.
+    pub transmittance: Image,
+    /// 1 or 3.
+    pub transmittance_channels: usize,
+    /// Depth of the nearest fragment; infinite where there is none.
+    pub first_depth: Arc<Vec<f32>>,
+    /// Fragments per pixel.
+    pub fragment_count: Arc<Vec<u32>>,
+    /// What it took.
+    pub stats: Stats,
+}
+
+/// What a render took.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Stats {
+    /// Wall time of this variant alone: set-up, its raster share and its resolve.
+    pub total_ms: f64,
+    /// Wall time of projecting, binning and rasterising; shared by all variants of a call.
+    pub raster_ms: f64,
+    /// Wall time of the technique on the fragments.
+    pub resolve_ms: f64,
+    /// Transparent fragments in the image.
+    pub fragments: u64,
+    /// Mean fragments per pixel, empty pixels included.
+    pub depth_complexity_mean: f64,
+    /// Most fragments in a pixel.
+    pub depth_complexity_max: u64,
+    /// Geometry passes that a streaming GPU implementation needs.
+    pub geometry_passes: f64,
+    /// Bytes per pixel that a streaming GPU implementation needs.
+    pub bytes_per_pixel: f64,
+    /// Fragments that the technique's storage had no room for.
+    pub dropped: u64,
+    /// What was skipped, and how often.
+    pub skipped: Vec<(&'static str, u64)>,
+    /// Threads that worked.
+    pub threads: usize,
+}

@@ -1,0 +1,41 @@
+//! The Python extension `oitlab._oitlab`: conversions and nothing else. Each function converts its arguments,
+//! detaches from the interpreter, calls one core function and converts back.
+
+mod arrays;
+mod convert;
+mod fragments;
+mod frame;
+mod run;
+mod scene;
+
+use pyo3::prelude::*;
+
+/// The compiled core of oitlab. Use it through the package `oitlab`.
+#[pymodule(name = "_oitlab")]
+mod extension {
+    use pyo3::prelude::*;
+
+    #[pymodule_export]
+    use super::fragments::PyFragments;
+    #[pymodule_export]
+    use super::frame::PyFrame;
+    #[pymodule_export]
+    use super::run::{capture, render, techniques};
+    #[pymodule_export]
+    use super::scene::{PyCamera, PyMesh, PyScene};
+
+    #[pymodule_init]
+    fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
+        module.add("__version__", env!("CARGO_PKG_VERSION"))?;
+        module.add("build_features", ("python",))
+    }
+}
+
+impl From<crate::Error> for PyErr {
+    fn from(error: crate::Error) -> Self {
+        match error {
+            crate::Error::Cancelled => pyo3::exceptions::PyKeyboardInterrupt::new_err(error.to_string()),
+            error => pyo3::exceptions::PyValueError::new_err(error.to_string()),
+        }
+    }
+}

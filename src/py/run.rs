@@ -1,0 +1,141 @@
+//! The calls that do the work, with Ctrl-C kept alive.
+
+use super::convert::{info, inputs};
+use super::fragments::PyFragments;
+use super::frame::PyFrame;
+use super::scene::PyScene;
+use crate::Result;
+use crate::fragments::Fragments;
+use crate::render::{Options, Request, Source, capture as capture_scene, render as render_source};
+use crate::scene::Scene;
+use crate::techniques::REGISTRY;
+use pyo3::exceptions::{PyRuntimeError, PyTypeError};
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{RecvTimeoutError, channel};
+use std::time::Duration;
+
+/// A scene or a fragment list, shared with Python.
+pub enum AnySource {
+    /// Geometry.
+    Scene(Arc<Scene>),
+    /// Fragments.
+    Fragments(Arc<Fragments>),
+}
+
+impl AnySource {
+    fn extract(source: &Bound<'_, PyAny>) -> PyResult<Self> {
+        if let Ok(scene) = source.cast::<PyScene>() {
+            return Ok(Self::Scene(Arc::clone(&scene.get().0)));
+        }
+        if let Ok(fragments) = source.cast::<PyFragments>() {
+            return Ok(Self::Fragments(Arc::clone(&fragments.get().0)));
+        }
+        Err(PyTypeError::new_err(format!("source: {} is neither Scene nor Fragments", source.get_type())))
+    }
+    fn as_source(&self) -> Source<'_> {
+        match self {
+            Self::Scene(scene) => Source::Scene(scene),
+            Self::Fragments(fragments) => Source::Fragments(fragments),
+        }
+    }
+    fn share(&self) -> Self {
+        match self {
+            Self::Scene(scene) => Self::Scene(Arc::clone(scene)),
+            Self::Fragments(fragments) => Self::Fragments(Arc::clone(fragments)),
+        }
+    }
+    /// The content hash in hexadecimal.
+    pub fn content_hash(&self) -> String {
+        match self {
+            Self::Scene(scene) => scene.content_hash(),
+            Self::Fragments(fragments) => fragments.content_hash(),
+        }
+        .to_hex()
+        .to_string()
+    }
+}
+
+/// How often the interpreter is asked for pending signals.
+const SIGNAL_INTERVAL: Duration = Duration::from_millis(20);
+
+/// Runs `work` on another thread, detached from the interpreter, and stops it on a signal such as Ctrl-C.
+fn interruptible<T: Send>(
+    py: Python<'_>,
+    work: impl FnOnce(&(dyn Fn() -> bool + Sync)) -> Result<T> + Send,
+) -> PyResult<T> {
+    let stop = AtomicBool::new(false);
+    py.detach(|| {
+        std::thread::scope(|scope| {
+            let (sender, receiver) = channel();
+            let stopped = &stop;
+            scope.spawn(move || {
+                let result = catch_unwind(AssertUnwindSafe(|| work(&|| stopped.load(Ordering::Relaxed))));
+                // nobody listens any more only if the listener panicked, and then this result is moot
+                _ = sender.send(result);
+            });
+            loop {
+                match receiver.recv_timeout(SIGNAL_INTERVAL) {
+                    Ok(Ok(result)) => return result.map_err(PyErr::from),
+                    Ok(Err(_)) | Err(RecvTimeoutError::Disconnected) => {
+                        let message = "a bug in oitlab's core: a worker panicked (its message is on stderr)";
+                        return Err(PyRuntimeError::new_err(message));
+                    }
+                    Err(RecvTimeoutError::Timeout) => {
+                        if let Err(signal) = Python::attach(|py| py.check_signals()) {
+                            stop.store(true, Ordering::Relaxed);
+                            return Err(signal);
+                        }
+                    }
+                }
+            }
+        })
+    })
+}
+
+fn options(threads: Option<i64>, skip: bool) -> Result<Options> {
+    let count = |n: i64| {
+        let fault = || crate::Error::argument("threads", format!("{n} is not in [1, 1024]"));
+        usize::try_from(n).ok().filter(|n| (1..=1024).contains(n)).ok_or_else(fault)
+    };
+    Ok(Options { threads: threads.map(count).transpose()?, skip, ..Options::default() })
+}
+
+/// Renders `source` once per variant, rasterising once for all.
+#[pyfunction]
+pub fn render<'py>(
+    py: Python<'py>,
+    source: &Bound<'py, PyAny>,
+    variants: Vec<(String, Bound<'py, PyDict>)>,
+    threads: Option<i64>,
+    skip: bool,
+    float64: bool,
+) -> PyResult<Vec<PyFrame>> {
+    let source = AnySource::extract(source)?;
+    let requests: Vec<Request> =
+        variants.into_iter().map(|(id, params)| Ok((id, inputs(&params)?))).collect::<PyResult<_>>()?;
+    let options = options(threads, skip)?;
+    let frames = interruptible(py, |stop| {
+        let run = if float64 { render_source::<f64> } else { render_source::<f32> };
+        run(source.as_source(), &requests, &options, stop)
+    })?;
+    frames.into_iter().map(|frame| PyFrame::new(py, frame, source.share())).collect()
+}
+
+/// The fragments of every pixel of a scene.
+#[pyfunction]
+pub fn capture(py: Python<'_>, scene: &Bound<'_, PyScene>, threads: Option<i64>) -> PyResult<PyFragments> {
+    let options = options(threads, true)?;
+    let scene = Arc::clone(&scene.get().0);
+    let fragments = interruptible(py, |stop| capture_scene(&scene, &options, stop))?;
+    Ok(PyFragments(Arc::new(fragments)))
+}
+
+/// The registry, one dict per technique.
+#[pyfunction]
+pub fn techniques(py: Python<'_>) -> PyResult<Vec<Bound<'_, PyDict>>> {
+    REGISTRY.iter().map(|technique| info(py, technique)).collect()
+}

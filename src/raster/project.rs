@@ -1,0 +1,183 @@
+//! From world space to snapped screen positions.
+
+use crate::scene::{Camera, Projection};
+use glam::DVec3;
+
+/// Sub-pixel steps per pixel: 8 bits, as D3D and Vulkan require.
+pub const SUBPIXELS: i32 = 256;
+/// A pixel centre's offset in sub-pixel steps.
+pub const CENTER: i32 = SUBPIXELS / 2;
+/// Pixels around the viewport within which vertices are snapped as they are; farther out triangles are clipped.
+/// With it every product of two coordinate differences stays below 2^52, hence exact in i64 and in f64.
+pub const GUARD: f64 = 65_536.0;
+
+/// A vertex on the screen.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ScreenVertex {
+    /// Sub-pixels from the left edge; [`ScreenVertex::OUTSIDE`] where the vertex needs clipping.
+    pub x: i32,
+    /// Sub-pixels from the top edge.
+    pub y: i32,
+    /// View depth, also where the vertex needs clipping.
+    pub z: f64,
+}
+
+impl ScreenVertex {
+    /// The `x` of vertices beyond a clip plane or the guard band.
+    pub const OUTSIDE: i32 = i32::MIN;
+
+    /// Whether triangles at this vertex must be clipped.
+    pub fn is_outside(&self) -> bool {
+        self.x == Self::OUTSIDE
+    }
+}
+
+/// The camera bound to an image size.
+#[derive(Debug, Clone, Copy)]
+pub struct Projector {
+    camera: Camera,
+    /// Pixels per unit of x/z (perspective) or x (orthographic); the same for y.
+    scale: f64,
+    center: (f64, f64),
+    perspective: bool,
+    limits: ((f64, f64), (f64, f64)),
+}
+
+impl Projector {
+    /// The projection of `camera` onto an image of the given size.
+    pub fn new(camera: &Camera, width: u32, height: u32) -> Self {
+        let (w, h) = (f64::from(width), f64::from(height));
+        let (scale, perspective) = match camera.projection() {
+            Projection::Perspective { fov_y } => (0.5 * h / (0.5 * fov_y).to_radians().tan(), true),
+            Projection::Orthographic { height } => (h / height, false),
+        };
+        let limits = ((-GUARD, w + GUARD), (-GUARD, h + GUARD));
+        Self { camera: *camera, scale, center: (0.5 * w, 0.5 * h), perspective, limits }
+    }
+
+    /// Whether depth divides.
+    pub fn is_perspective(&self) -> bool {
+        self.perspective
+    }
+
+    /// A world point in view space.
+    pub fn to_view(&self, point: [f64; 3]) -> DVec3 {
+        self.camera.to_view(DVec3::from(point))
+    }
+
+    /// A view-space point on the screen, in pixels.
+    pub fn to_screen(&self, p: DVec3) -> (f64, f64) {
+        let scale = if self.perspective { self.scale / p.z } else { self.scale };
+        (self.center.0 + scale * p.x, self.center.1 - scale * p.y)
+    }
+
+    /// Projects and snaps, marking what needs clipping.
+    pub fn project(&self, p: DVec3) -> ScreenVertex {
+        let outside = ScreenVertex { x: ScreenVertex::OUTSIDE, y: 0, z: p.z };
+        if !(self.camera.near()..=self.camera.far()).contains(&p.z) {
+            return outside;
+        }
+        let (x, y) = self.to_screen(p);
+        let ((x_min, x_max), (y_min, y_max)) = self.limits;
+        if !((x_min..=x_max).contains(&x) && (y_min..=y_max).contains(&y)) {
+            return outside;
+        }
+        ScreenVertex { x: snap(x), y: snap(y), z: p.z }
+    }
+
+    /// Signed distances of a view-space point to near, far and the four sides of the guard band; inside is
+    /// >= 0. Each is linear in the point.
+    pub fn clip_distances(&self, p: DVec3) -> [f64; 6] {
+        let w = if self.perspective { p.z } else { 1.0 };
+        let (x, y) = (self.scale * p.x + self.center.0 * w, self.center.1 * w - self.scale * p.y);
+        let ((x_min, x_max), (y_min, y_max)) = self.limits;
+        [
+            p.z - self.camera.near(),
+            self.camera.far() - p.z,
+            x - x_min * w,
+            x_max * w - x,
+            y - y_min * w,
+            y_max * w - y,
+        ]
+    }
+
+    /// A clipped point, snapped: inside the guard band up to the rounding of the clip.
+    pub fn snap_clipped(&self, p: DVec3) -> (i32, i32) {
+        let (x, y) = self.to_screen(p);
+        let ((x_min, x_max), (y_min, y_max)) = self.limits;
+        (snap(x.clamp(x_min, x_max)), snap(y.clamp(y_min, y_max)))
+    }
+
+    /// The view-space ray through a pixel centre as (point at z = 0, direction with z = 1).
+    pub fn ray(&self, x: u32, y: u32) -> (DVec3, DVec3) {
+        let dx = (f64::from(x) + 0.5 - self.center.0) / self.scale;
+        let dy = (self.center.1 - f64::from(y) - 0.5) / self.scale;
+        if self.perspective {
+            (DVec3::ZERO, DVec3::new(dx, dy, 1.0))
+        } else {
+            (DVec3::new(dx, dy, 0.0), DVec3::Z)
+        }
+    }
+
+    /// Near and far.
+    pub fn clip_range(&self) -> (f64, f64) {
+        (self.camera.near(), self.camera.far())
+    }
+}
+
+/// The nearest sub-pixel position, ties to even.
+#[expect(clippy::cast_possible_truncation, reason = "the guard band keeps it within 25 bits")]
+fn snap(pixels: f64) -> i32 {
+    (pixels * f64::from(SUBPIXELS)).round_ties_even() as i32
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn projector(projection: Projection) -> Projector {
+        let eye = DVec3::new(0.0, 0.0, 5.0);
+        let camera = Camera::new(eye, DVec3::ZERO, DVec3::Y, projection, 1.0, 9.0).unwrap();
+        Projector::new(&camera, 200, 100)
+    }
+
+    #[test]
+    fn centre_and_edges_of_the_image() {
+        let p = projector(Projection::Perspective { fov_y: 90.0 });
+        assert_eq!(p.project(DVec3::new(0.0, 0.0, 5.0)), ScreenVertex { x: 25_600, y: 12_800, z: 5.0 });
+        let top = p.project(DVec3::new(0.0, 5.0, 5.0));
+        assert_eq!((top.x, top.y), (25_600, 0));
+        let p = projector(Projection::Orthographic { height: 10.0 });
+        let left = p.project(DVec3::new(-10.0, 0.0, 3.0));
+        assert_eq!((left.x, left.y), (0, 12_800));
+    }
+
+    #[test]
+    fn ties_go_to_even() {
+        assert_eq!(snap(0.5 / 256.0), 0);
+        assert_eq!(snap(1.5 / 256.0), 2);
+        assert_eq!(snap(-0.5 / 256.0), 0);
+    }
+
+    #[test]
+    fn what_needs_clipping_is_marked() {
+        let p = projector(Projection::Perspective { fov_y: 90.0 });
+        for z in [0.5, 9.5, -2.0] {
+            assert!(p.project(DVec3::new(0.0, 0.0, z)).is_outside());
+        }
+        assert!(p.project(DVec3::new(1e5, 0.0, 1.0)).is_outside());
+        assert!(p.clip_distances(DVec3::new(0.0, 0.0, 5.0)).iter().all(|d| *d >= 0.0));
+        assert!(p.clip_distances(DVec3::new(1e5, 0.0, 1.0))[3] < 0.0);
+    }
+
+    #[test]
+    fn rays_go_through_pixel_centres() {
+        for projection in [Projection::Perspective { fov_y: 50.0 }, Projection::Orthographic { height: 3.0 }]
+        {
+            let p = projector(projection);
+            let (origin, direction) = p.ray(17, 63);
+            let (x, y) = p.to_screen(origin + 4.0 * direction);
+            assert!((x - 17.5).abs() < 1e-12 && (y - 63.5).abs() < 1e-12);
+        }
+    }
+}

@@ -1,0 +1,290 @@
+//! Triangle setup and binning: every primitive that can touch the image, listed by the tiles it touches, in
+//! submission order.
+
+use super::clip::clip;
+use super::cover::{Rect, centers, doubled_area};
+use super::project::{Projector, ScreenVertex};
+use super::shade::light;
+use crate::scene::{Mesh, Scene, Shading};
+use glam::DVec3;
+use rayon::prelude::*;
+use std::ops::Range;
+
+/// A triangle that needed no clipping.
+#[derive(Debug, Clone, Copy)]
+pub struct Triangle {
+    pub face: u32,
+    pub light: f32,
+    pub vertices: [ScreenVertex; 3],
+}
+
+/// What clipping left of a triangle.
+#[derive(Debug, Clone)]
+pub struct Polygon {
+    pub face: u32,
+    pub light: f32,
+    pub points: Vec<(i32, i32)>,
+    /// The whole triangle in view space.
+    pub corners: [DVec3; 3],
+}
+
+/// A primitive that survived setup.
+#[derive(Debug, Clone, Copy)]
+pub enum Primitive<'a> {
+    Triangle(&'a Triangle),
+    Polygon(&'a Polygon),
+}
+
+/// The image cut into square tiles.
+#[derive(Debug, Clone, Copy)]
+pub struct Tiling {
+    width: i32,
+    height: i32,
+    size: i32,
+}
+
+impl Tiling {
+    /// Tiles of `size` pixels for an image of the given size.
+    #[expect(clippy::cast_possible_wrap, reason = "both are at most MAX_SIZE")]
+    pub fn new(width: u32, height: u32, size: u32) -> Self {
+        Self { width: width as i32, height: height as i32, size: size as i32 }
+    }
+    /// Tiles per row.
+    #[expect(clippy::cast_sign_loss, reason = "never negative")]
+    pub fn columns(&self) -> usize {
+        ((self.width + self.size - 1) / self.size) as usize
+    }
+    /// Rows of tiles.
+    #[expect(clippy::cast_sign_loss, reason = "never negative")]
+    pub fn rows(&self) -> usize {
+        ((self.height + self.size - 1) / self.size) as usize
+    }
+    /// The pixels of a tile.
+    #[expect(
+        clippy::cast_possible_truncation,
+        clippy::cast_possible_wrap,
+        reason = "fewer tiles than pixels"
+    )]
+    pub fn rect(&self, column: usize, row: usize) -> Rect {
+        let (x0, y0) = (column as i32 * self.size, row as i32 * self.size);
+        let (x1, y1) = ((x0 + self.size).min(self.width), (y0 + self.size).min(self.height));
+        Rect { x0, y0, x1, y1 }
+    }
+
+    /// The tiles that the sub-pixel bounds touch, as ranges of columns and rows; `None` when the bounds hold
+    /// no pixel centre of the image.
+    fn touched(&self, points: impl Iterator<Item = (i32, i32)>) -> Option<TileRange> {
+        let (mut lo, mut hi) = ((i32::MAX, i32::MAX), (i32::MIN, i32::MIN));
+        for (x, y) in points {
+            lo = (lo.0.min(x), lo.1.min(y));
+            hi = (hi.0.max(x), hi.1.max(y));
+        }
+        let axis = |lo, hi, limit: i32| {
+            let (first, last) = centers(lo, hi);
+            let (first, last) = (first.max(0), last.min(limit));
+            #[expect(clippy::cast_sign_loss, clippy::cast_possible_truncation, reason = "within the image")]
+            (first < last).then(|| ((first / self.size) as u16, ((last - 1) / self.size) as u16))
+        };
+        let (x0, x1) = axis(lo.0, hi.0, self.width)?;
+        let (y0, y1) = axis(lo.1, hi.1, self.height)?;
+        Some(TileRange { x0, y0, x1, y1 })
+    }
+}
+
+/// Columns and rows of tiles, all inclusive.
+#[derive(Debug, Clone, Copy)]
+struct TileRange {
+    x0: u16,
+    y0: u16,
+    x1: u16,
+    y1: u16,
+}
+
+impl TileRange {
+    fn tiles(self, columns: usize) -> impl Iterator<Item = usize> {
+        let row = move |y: u16| {
+            let first = usize::from(y) * columns;
+            first + usize::from(self.x0)..=first + usize::from(self.x1)
+        };
+        (self.y0..=self.y1).flat_map(row)
+    }
+}
+
+/// Faces that are set up together, and the unit in which bins keep submission order.
+const CHUNK_FACES: usize = 16_384;
+/// Marks a bin entry as an index into the polygons.
+const POLYGON_BIT: u32 = 1 << 31;
+
+/// A run of faces of one mesh, set up and binned.
+#[derive(Debug)]
+pub struct Chunk {
+    /// Index of the mesh.
+    pub mesh: usize,
+    /// Primitive id of the mesh's first face.
+    pub first_primitive: u32,
+    triangles: Vec<Triangle>,
+    polygons: Vec<Polygon>,
+    /// Entries of tile `t` are `entries[starts[t]..starts[t + 1]]`.
+    starts: Vec<u32>,
+    entries: Vec<u32>,
+}
+
+impl Chunk {
+    /// The primitives that touch tile `tile`, in submission order.
+    pub fn in_tile(&self, tile: usize) -> impl Iterator<Item = Primitive<'_>> {
+        let range = if self.starts.is_empty() {
+            0..0
+        } else {
+            self.starts[tile] as usize..self.starts[tile + 1] as usize
+        };
+        self.entries[range].iter().map(|&entry| match entry & POLYGON_BIT {
+            0 => Primitive::Triangle(&self.triangles[entry as usize]),
+            _ => Primitive::Polygon(&self.polygons[(entry & !POLYGON_BIT) as usize]),
+        })
+    }
+}
+
+/// A run of faces still to be set up.
+struct Job<'a> {
+    mesh: &'a Mesh,
+    index: usize,
+    first_primitive: u32,
+    faces: Range<usize>,
+    screen: &'a [ScreenVertex],
+}
+
+/// Projects, clips, culls and bins the scene's primitives: first the chunks of opaque meshes, then those of
+/// transparent ones, each in submission order. Empty when `stop` says so meanwhile.
+pub fn set_up(
+    scene: &Scene,
+    projector: &Projector,
+    tiling: &Tiling,
+    stop: &(dyn Fn() -> bool + Sync),
+) -> (Vec<Chunk>, Vec<Chunk>) {
+    let screen: Vec<Vec<ScreenVertex>> = scene
+        .meshes()
+        .iter()
+        .map(|mesh| {
+            let project = |v: &[f64; 3]| projector.project(projector.to_view(*v));
+            mesh.vertices().par_iter().with_min_len(4096).map(project).collect()
+        })
+        .collect();
+    let mut jobs = (Vec::new(), Vec::new());
+    let mut first_primitive = 0;
+    for (index, mesh) in scene.meshes().iter().enumerate() {
+        let count = mesh.faces().len();
+        let jobs = if mesh.material().is_transparent() { &mut jobs.1 } else { &mut jobs.0 };
+        jobs.extend((0..count).step_by(CHUNK_FACES).map(|start| Job {
+            mesh,
+            index,
+            first_primitive,
+            faces: start..(start + CHUNK_FACES).min(count),
+            screen: &screen[index],
+        }));
+        #[expect(clippy::cast_possible_truncation, reason = "Scene::new limits the sum of all faces")]
+        (first_primitive += count as u32);
+    }
+    let run = |jobs: Vec<Job<'_>>| {
+        let chunk = |job: &Job<'_>| (!stop()).then(|| job.run(projector, tiling));
+        jobs.par_iter().filter_map(chunk).collect()
+    };
+    (run(jobs.0), run(jobs.1))
+}
+
+impl Job<'_> {
+    fn run(&self, projector: &Projector, tiling: &Tiling) -> Chunk {
+        let mut chunk = Chunk {
+            mesh: self.index,
+            first_primitive: self.first_primitive,
+            triangles: Vec::with_capacity(self.faces.len()),
+            polygons: Vec::new(),
+            starts: Vec::new(),
+            entries: Vec::new(),
+        };
+        let mut touched = Vec::with_capacity(self.faces.len());
+        for face in self.faces.clone() {
+            if let Some((entry, tiles)) = self.face(face, projector, tiling, &mut chunk) {
+                touched.push((entry, tiles));
+            }
+        }
+        chunk.bin(&touched, tiling);
+        chunk
+    }
+
+    /// Sets up one face; its entry and the tiles it touches, or nothing if it covers no pixel centre for sure.
+    #[expect(clippy::cast_possible_truncation, reason = "a chunk has few faces; ids fit by Scene::new")]
+    fn face(
+        &self,
+        face: usize,
+        projector: &Projector,
+        tiling: &Tiling,
+        chunk: &mut Chunk,
+    ) -> Option<(u32, TileRange)> {
+        let vertices = self.mesh.faces()[face].map(|v| self.screen[v as usize]);
+        if vertices.iter().any(ScreenVertex::is_outside) {
+            let (polygon, tiles) = self.clipped(face, projector, tiling)?;
+            chunk.polygons.push(polygon);
+            return Some(((chunk.polygons.len() - 1) as u32 | POLYGON_BIT, tiles));
+        }
+        let points = vertices.map(|v| (v.x, v.y));
+        let tiles = tiling.touched(points.into_iter())?;
+        self.is_seen(doubled_area(&points)).then_some(())?;
+        let light = match self.mesh.material().shading {
+            Shading::Unlit => 1.0,
+            shading => light(shading, self.corners(face, projector), projector.is_perspective()),
+        };
+        chunk.triangles.push(Triangle { face: face as u32, light, vertices });
+        Some(((chunk.triangles.len() - 1) as u32, tiles))
+    }
+
+    #[expect(clippy::cast_possible_truncation, reason = "ids fit by Scene::new")]
+    fn clipped(&self, face: usize, projector: &Projector, tiling: &Tiling) -> Option<(Polygon, TileRange)> {
+        let corners = self.corners(face, projector);
+        let points: Vec<_> =
+            clip(projector, corners).into_iter().map(|p| projector.snap_clipped(p)).collect();
+        if points.len() < 3 {
+            return None;
+        }
+        let tiles = tiling.touched(points.iter().copied())?;
+        self.is_seen(doubled_area(&points)).then_some(())?;
+        let shading = self.mesh.material().shading;
+        let light = light(shading, corners, projector.is_perspective());
+        Some((Polygon { face: face as u32, light, points, corners }, tiles))
+    }
+
+    fn corners(&self, face: usize, projector: &Projector) -> [DVec3; 3] {
+        self.mesh.faces()[face].map(|v| projector.to_view(self.mesh.vertices()[v as usize]))
+    }
+
+    /// Front faces wind counter-clockwise in world space, hence clockwise reads negative on a screen with y down.
+    fn is_seen(&self, doubled_area: i64) -> bool {
+        doubled_area < 0 || (doubled_area > 0 && self.mesh.material().double_sided)
+    }
+}
+
+impl Chunk {
+    /// Counting sort of the entries by tile.
+    fn bin(&mut self, touched: &[(u32, TileRange)], tiling: &Tiling) {
+        if touched.is_empty() {
+            return;
+        }
+        let columns = tiling.columns();
+        self.starts = vec![0; columns * tiling.rows() + 1];
+        for (_, tiles) in touched {
+            tiles.tiles(columns).for_each(|tile| self.starts[tile + 1] += 1);
+        }
+        let mut sum = 0;
+        for start in &mut self.starts {
+            sum += *start;
+            *start = sum;
+        }
+        self.entries = vec![0; sum as usize];
+        let mut cursor = self.starts.clone();
+        for (entry, tiles) in touched {
+            for tile in tiles.tiles(columns) {
+                self.entries[cursor[tile] as usize] = *entry;
+                cursor[tile] += 1;
+            }
+        }
+    }
+}

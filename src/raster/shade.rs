@@ -1,0 +1,134 @@
+//! Colour and coverage of a primitive at a pixel.
+
+use super::interpolate::Hit;
+use crate::scene::{Mesh, Shading};
+use glam::DVec3;
+
+/// The part of the light that reaches a surface from everywhere; the headlight gives the rest.
+pub const AMBIENT: f64 = 0.2;
+
+/// How bright a face is, in [`AMBIENT`]..=1: a headlight at the eye on a flat face, seen from either side.
+#[expect(clippy::cast_possible_truncation, reason = "colours are f32")]
+pub fn light(shading: Shading, view: [DVec3; 3], perspective: bool) -> f32 {
+    if shading == Shading::Unlit {
+        return 1.0;
+    }
+    let normal = (view[1] - view[0]).cross(view[2] - view[0]).normalize_or_zero();
+    let centroid = (view[0] + view[1] + view[2]) / 3.0;
+    let to_light = if perspective { centroid.normalize_or_zero() } else { DVec3::Z };
+    (AMBIENT + (1.0 - AMBIENT) * normal.dot(to_light).abs()) as f32
+}
+
+/// Premultiplied linear colour and coverage.
+pub type Premultiplied = [f32; 4];
+
+/// A primitive's colours, ready for any pixel of it.
+#[derive(Debug, Clone, Copy)]
+pub struct Shade {
+    corners: [Premultiplied; 3],
+    flat: bool,
+    mask: Option<Mask>,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Mask {
+    alphas: [f32; 3],
+    cutoff: f32,
+}
+
+impl Shade {
+    /// The colours of one face of `mesh`, `light` times as bright as its material.
+    pub fn new(mesh: &Mesh, face: usize, light: f32) -> Self {
+        let material = mesh.material();
+        let straight = mesh.corner_colors(face);
+        let corners = straight.map(|[r, g, b, a]| {
+            let alpha = match material.opacity {
+                Some(opacity) => opacity,
+                None if material.is_transparent() => a,
+                None => 1.0,
+            };
+            let [er, eg, eb] = material.emission;
+            let lit = alpha * light;
+            [r * lit + er, g * lit + eg, b * lit + eb, alpha]
+        });
+        let mask = material
+            .is_masked()
+            .then(|| Mask { alphas: straight.map(|c| c[3]), cutoff: material.alpha_cutoff });
+        Self { corners, flat: corners[0] == corners[1] && corners[1] == corners[2], mask }
+    }
+
+    /// Whether the mask lets the pixel through.
+    #[inline]
+    pub fn passes(&self, hit: &Hit) -> bool {
+        self.mask.is_none_or(|mask| interpolate(mask.alphas, hit) >= mask.cutoff)
+    }
+
+    /// Colour and coverage at the pixel.
+    #[inline]
+    pub fn at(&self, hit: &Hit) -> Premultiplied {
+        if self.flat {
+            return self.corners[0];
+        }
+        std::array::from_fn(|channel| interpolate(self.corners.map(|c| c[channel]), hit))
+    }
+}
+
+/// The weighted mean of three values, never outside their range.
+#[inline]
+#[expect(clippy::cast_possible_truncation, reason = "colours are f32")]
+fn interpolate(values: [f32; 3], hit: &Hit) -> f32 {
+    let mean: f64 = (0..3).map(|i| hit.weights[i] * f64::from(values[i])).sum();
+    let lo = values[0].min(values[1]).min(values[2]);
+    let hi = values[0].max(values[1]).max(values[2]);
+    (mean as f32).clamp(lo, hi)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::{AlphaMode, Colors, Material};
+
+    fn shade(colors: Colors, material: Material) -> Shade {
+        let vertices = vec![[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
+        Shade::new(&Mesh::new(vertices, vec![[0, 1, 2]], colors, material).unwrap(), 0, 0.5)
+    }
+
+    const MIDDLE: Hit = Hit { depth: 1.0, weights: [0.5, 0.25, 0.25] };
+
+    #[test]
+    fn light_times_alpha_plus_emission() {
+        let material = Material { emission: [0.0, 0.0, 2.0], ..Material::default() };
+        let shade = shade(Colors::Mesh([1.0, 0.5, 0.0, 0.25]), material);
+        assert_eq!(shade.at(&MIDDLE), [0.125, 0.0625, 2.0, 0.25]);
+    }
+
+    #[test]
+    fn interpolation_is_of_premultiplied_color() {
+        let rows = vec![[1.0, 0.0, 0.0, 0.0], [1.0, 1.0, 1.0, 1.0], [1.0, 0.0, 0.0, 1.0]];
+        let shade = shade(Colors::Vertex(rows), Material::default());
+        assert_eq!(shade.at(&MIDDLE), [0.25, 0.125, 0.125, 0.5]);
+    }
+
+    #[test]
+    fn opaque_ignores_alpha_and_masks_test_it() {
+        let rows = Colors::Vertex(vec![[1.0, 1.0, 1.0, 0.0], [1.0; 4], [1.0; 4]]);
+        let material = Material { alpha_mode: AlphaMode::Mask, ..Material::default() };
+        let masked = shade(rows.clone(), material);
+        assert_eq!(masked.at(&MIDDLE), [0.5, 0.5, 0.5, 1.0]);
+        assert!(masked.passes(&MIDDLE));
+        assert!(!masked.passes(&Hit { depth: 1.0, weights: [0.75, 0.25, 0.0] }));
+        let replaced = shade(rows, Material { opacity: Some(0.5), ..material });
+        assert_eq!(replaced.at(&MIDDLE), [0.25, 0.25, 0.25, 0.5]);
+        assert!(!replaced.passes(&Hit { depth: 1.0, weights: [1.0, 0.0, 0.0] }));
+    }
+
+    #[test]
+    fn the_headlight_fades_with_the_angle() {
+        let facing = [DVec3::new(0.0, 0.0, 3.0), DVec3::new(1.0, 0.0, 3.0), DVec3::new(0.0, 1.0, 3.0)];
+        let edge_on = [DVec3::Z, DVec3::new(0.0, 0.0, 2.0), DVec3::new(0.0, 1.0, 2.0)];
+        assert_eq!(light(Shading::Unlit, edge_on, false), 1.0);
+        assert_eq!(light(Shading::Lambert, facing, false), 1.0);
+        assert_eq!(light(Shading::Lambert, edge_on, false), AMBIENT as f32);
+        assert_eq!(light(Shading::Lambert, [DVec3::ZERO; 3], true), AMBIENT as f32);
+    }
+}

@@ -1,0 +1,458 @@
+//! The one way through the house: scene -> raster -> fragments -> technique -> frame.
+
+mod capture;
+mod image;
+
+pub use capture::capture;
+
+use crate::error::{Error, Result};
+use crate::fragments::{CentroidDepths, Fragments, Lists};
+use crate::frame::{Frame, Sample, Stats};
+use crate::order::SubmissionOrder;
+use crate::params::{Checked, Input, Params, View, check};
+use crate::raster::{self, Raster, Tile};
+use crate::resolve::{Context, Resolver, Variant, VariantTally, nanos_since};
+use crate::scene::Scene;
+use crate::technique::{Batch, DepthComplexity, Info, Resolved};
+use crate::techniques::find;
+use image::{Band, Piece, Target};
+use rayon::prelude::*;
+use std::sync::{Arc, Mutex};
+use std::time::Instant;
+
+/// What can be rendered.
+#[derive(Debug, Clone, Copy)]
+pub enum Source<'a> {
+    /// Geometry, to be rasterised.
+    Scene(&'a Scene),
+    /// Fragments that exist already.
+    Fragments(&'a Fragments),
+}
+
+/// A technique's id with its params, as the user writes them.
+pub type Request = (String, Vec<(String, Input)>);
+
+/// How to render, as opposed to what.
+#[derive(Debug, Clone, Copy)]
+pub struct Options {
+    /// Worker threads; all cores when absent.
+    pub threads: Option<usize>,
+    /// Whether provably needless work may be left out.
+    pub skip: bool,
+    /// Edge of the screen tiles in pixels. Changes time and memory, never a bit of the image.
+    pub tile_size: u32,
+    /// Fragments that a tile may hold at a time; deeper tiles are resolved in parts.
+    pub max_fragments: usize,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self { threads: None, skip: true, tile_size: 32, max_fragments: 1 << 18 }
+    }
+}
+
+/// Pixels of a captured image that are resolved together, at most.
+const PIECE_PIXELS: usize = 4096;
+
+/// Renders `source` once per request, rasterising once for all.
+///
+/// # Errors
+/// For unknown techniques and params before any work starts; [`Error::Cancelled`] once `stop` returns true.
+pub fn render<S: Sample>(
+    source: Source<'_>,
+    requests: &[Request],
+    options: &Options,
+    stop: &(dyn Fn() -> bool + Sync),
+) -> Result<Vec<Frame>> {
+    let checked = requests.iter().map(check_request).collect::<Result<Vec<_>>>()?;
+    with_threads(options.threads, |threads| {
+        let job = Job::new(source, &checked, options, stop)?;
+        let finished = job.run::<S>(source)?;
+        Ok(job.frames(finished, threads))
+    })
+}
+
+/// Runs `work` on so many threads, telling it how many they are.
+fn with_threads<T: Send>(threads: Option<usize>, work: impl FnOnce(usize) -> Result<T> + Send) -> Result<T> {
+    match threads {
+        None => work(rayon::current_num_threads()),
+        Some(0) => Err(Error::argument("threads", "0 is not a number >= 1, or None for all cores")),
+        Some(n) => {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(n).build();
+            let pool = pool.map_err(|e| Error::argument("threads", format!("{n} cannot be started: {e}")))?;
+            pool.install(|| work(n))
+        }
+    }
+}
+
+fn check_request(request: &Request) -> Result<(&'static Info, Checked)> {
+    let info = find(&request.0)?;
+    Ok((info, check(info.id, &info.param_table(), &request.1)?))
+}
+
+fn bind(info: &'static Info, checked: &Checked, view: &View) -> Result<Variant> {
+    let params = checked.resolve(&info.param_table(), view);
+    let technique = (info.build)(&params, view)?;
+    let seed = u64::try_from(params.int("seed")).unwrap_or(0);
+    let order = SubmissionOrder::from_name(params.text("submission_order"), seed);
+    Ok(Variant { info, params, technique, order })
+}
+
+/// A render with everything decided: each different variant once, and which of them answers which request.
+struct Job<'a> {
+    variants: Vec<Variant>,
+    /// Per request: the variant that answers it, and the params as requested.
+    answers: Vec<(usize, Params)>,
+    centroids: Option<CentroidDepths>,
+    options: &'a Options,
+    stop: &'a (dyn Fn() -> bool + Sync),
+    start: Instant,
+}
+
+/// Everything that a run produced.
+struct Finished<S> {
+    target: Target<S>,
+    tally: Tally,
+    raster_nanos: u64,
+    wall_nanos: u64,
+}
+
+/// Counts of a run, summed over tiles.
+#[derive(Debug, Clone, Default)]
+struct Tally {
+    raster_nanos: u64,
+    fragments: u64,
+    deepest: u64,
+    empty_tiles: u64,
+    empty_pixels: u64,
+    occluded_fragments: u64,
+    variants: Vec<VariantTally>,
+}
+
+impl Tally {
+    fn new(variants: usize) -> Self {
+        Self { variants: vec![VariantTally::default(); variants], ..Self::default() }
+    }
+
+    fn count(&mut self, fragments_of_pixel: usize) {
+        let n = fragments_of_pixel as u64;
+        self.fragments += n;
+        self.deepest = self.deepest.max(n);
+        self.empty_pixels += u64::from(n == 0);
+    }
+
+    fn merge(mut self, other: &Self) -> Self {
+        self.raster_nanos += other.raster_nanos;
+        self.fragments += other.fragments;
+        self.deepest = self.deepest.max(other.deepest);
+        self.empty_tiles += other.empty_tiles;
+        self.empty_pixels += other.empty_pixels;
+        self.occluded_fragments += other.occluded_fragments;
+        for (mine, theirs) in self.variants.iter_mut().zip(&other.variants) {
+            mine.nanos += theirs.nanos;
+            mine.dropped += theirs.dropped;
+            mine.single_fragment_pixels += theirs.single_fragment_pixels;
+        }
+        self
+    }
+}
+
+/// One thread's working memory.
+#[derive(Default)]
+struct Worker {
+    tile: Tile,
+    lists: Lists,
+    resolver: Resolver,
+    resolved: Vec<Vec<Resolved>>,
+}
+
+/// Workers waiting for a tile.
+#[derive(Default)]
+struct Workers(Mutex<Vec<Worker>>);
+
+impl Workers {
+    fn with<T>(&self, variants: usize, work: impl FnOnce(&mut Worker) -> T) -> T {
+        let idle = self.0.lock().map_or_else(|_| None, |mut idle| idle.pop());
+        let mut worker = idle.unwrap_or_default();
+        worker.resolved.resize_with(variants, Vec::new);
+        let result = work(&mut worker);
+        if let Ok(mut idle) = self.0.lock() {
+            idle.push(worker);
+        }
+        result
+    }
+}
+
+impl<'a> Job<'a> {
+    fn new(
+        source: Source<'_>,
+        checked: &[(&'static Info, Checked)],
+        options: &'a Options,
+        stop: &'a (dyn Fn() -> bool + Sync),
+    ) -> Result<Self> {
+        let start = Instant::now();
+        let view = match source {
+            Source::Scene(scene) => raster::view(scene),
+            Source::Fragments(fragments) => fragments.view,
+        };
+        let mut variants: Vec<Variant> = Vec::new();
+        let mut answers = Vec::new();
+        for (info, checked) in checked {
+            let variant = bind(info, checked, &view)?;
+            let params = variant.params.clone();
+            let same =
+                |other: &Variant| other.info.id == info.id && other.params.identity() == params.identity();
+            let known = if options.skip { variants.iter().position(same) } else { None };
+            let index = known.unwrap_or_else(|| {
+                variants.push(variant);
+                variants.len() - 1
+            });
+            answers.push((index, params));
+        }
+        let by_centroid = variants.iter().any(|v| v.order == SubmissionOrder::Centroid);
+        let centroids = by_centroid.then(|| match source {
+            Source::Scene(scene) => CentroidDepths::Dense(raster::centroid_depths(scene)),
+            Source::Fragments(fragments) => fragments.centroid_depths(),
+        });
+        Ok(Self { variants, answers, centroids, options, stop, start })
+    }
+
+    fn context(&self) -> Context<'_> {
+        Context {
+            variants: &self.variants,
+            centroids: self.centroids.as_ref(),
+            skip: self.options.skip,
+            stop: self.stop,
+        }
+    }
+
+    fn run<S: Sample>(&self, source: Source<'_>) -> Result<Finished<S>> {
+        let channels: Vec<usize> =
+            self.variants.iter().map(|v| if v.technique.colored_transmittance() { 3 } else { 1 }).collect();
+        let (width, height) = match source {
+            Source::Scene(scene) => (scene.width(), scene.height()),
+            Source::Fragments(fragments) => (fragments.width, fragments.height),
+        };
+        let mut target = Target::new(width, height, channels);
+        let (tally, raster_nanos) = match source {
+            Source::Scene(scene) => self.scene(scene, &mut target),
+            Source::Fragments(fragments) => (self.fragments(fragments, &mut target), 0),
+        };
+        if (self.stop)() {
+            return Err(Error::Cancelled);
+        }
+        Ok(Finished { target, tally, raster_nanos, wall_nanos: nanos_since(self.start) })
+    }
+
+    /// Rasterises and resolves tile by tile; the wall time of projecting and binning beside the counts.
+    fn scene<S: Sample>(&self, scene: &Scene, target: &mut Target<S>) -> (Tally, u64) {
+        let raster = Raster::new(scene, self.options.tile_size, self.stop);
+        let setup_nanos = nanos_since(self.start);
+        let workers = Workers::default();
+        let bands = target.bands(self.options.tile_size);
+        let tally = bands
+            .into_par_iter()
+            .enumerate()
+            .map(|(row, band)| self.band(&raster, row, band, &workers))
+            .reduce(|| Tally::new(self.variants.len()), |a, b| a.merge(&b));
+        (tally, setup_nanos)
+    }
+
+    fn band<S: Sample>(
+        &self,
+        raster: &Raster<'_>,
+        row: usize,
+        mut band: Band<'_, S>,
+        workers: &Workers,
+    ) -> Tally {
+        let tiles: Vec<_> = (0..raster.columns())
+            .into_par_iter()
+            .map(|column| workers.with(self.variants.len(), |worker| self.tile(raster, column, row, worker)))
+            .collect();
+        let mut tally = Tally::new(self.variants.len());
+        for (column, (piece, tile_tally)) in tiles.iter().enumerate() {
+            band.store(&raster.rect(column, row), piece.as_ref(), raster.background());
+            tally = tally.merge(tile_tally);
+        }
+        tally
+    }
+
+    /// One tile's pixels, or nothing where the background shows alone.
+    fn tile<S: Sample>(
+        &self,
+        raster: &Raster<'_>,
+        column: usize,
+        row: usize,
+        worker: &mut Worker,
+    ) -> (Option<Piece<S>>, Tally) {
+        let mut tally = Tally::new(self.variants.len());
+        let rect = raster.rect(column, row);
+        if self.options.skip && raster.is_empty_tile(column, row) {
+            tally.empty_tiles = 1;
+            tally.empty_pixels = rect.area() as u64;
+            return (None, tally);
+        }
+        let mut piece = Piece::with_capacity(rect.area(), &self.variants);
+        let start = Instant::now();
+        if !worker.tile.begin(raster, column, row, self.stop) {
+            return (None, tally);
+        }
+        tally.raster_nanos += nanos_since(start);
+        let mut first = 0;
+        while first < rect.area() {
+            let last = self.part_end(first, rect.area(), |i| worker.tile.counts()[i] as usize);
+            let start = Instant::now();
+            if !worker.tile.fill(raster, first, last, &mut worker.lists, self.stop) {
+                return (None, tally);
+            }
+            tally.raster_nanos += nanos_since(start);
+            #[expect(
+                clippy::cast_sign_loss,
+                clippy::cast_possible_truncation,
+                reason = "pixels of the image"
+            )]
+            let batch = Batch {
+                x: rect.x0 as u32,
+                y: rect.y0 as u32,
+                width: rect.width() as u32,
+                first: first as u32,
+                lists: worker.lists.as_ref(),
+                sorted: None,
+                background: &worker.tile.background()[first..last],
+            };
+            worker.resolver.run(&self.context(), &batch, &mut worker.resolved, &mut tally.variants);
+            piece.append(&batch, &worker.resolved, &mut tally);
+            first = last;
+        }
+        tally.occluded_fragments = worker.tile.occluded();
+        (Some(piece), tally)
+    }
+
+    /// The end of the longest run of pixels from `first` whose fragments fit the budget; at least one pixel.
+    fn part_end(&self, first: usize, end: usize, count: impl Fn(usize) -> usize) -> usize {
+        let mut sum = count(first);
+        (first + 1..end)
+            .find(|&i| {
+                sum += count(i);
+                sum > self.options.max_fragments
+            })
+            .unwrap_or(end)
+    }
+
+    /// Resolves a fragment list piece by piece.
+    fn fragments<S: Sample>(&self, fragments: &Fragments, target: &mut Target<S>) -> Tally {
+        let rows = fragments.lists.as_ref();
+        let mut ends = Vec::new();
+        let mut first = 0;
+        while first < fragments.pixels() {
+            let limit = fragments.pixels().min(first + PIECE_PIXELS);
+            first = self.part_end(first, limit, |i| rows.count(i));
+            ends.push(first);
+        }
+        let workers = Workers::default();
+        target
+            .runs(&ends)
+            .into_par_iter()
+            .map(|(first, mut band)| {
+                let last = first + band.pixels();
+                let background: Vec<_> = (first..last).map(|i| fragments.background.at(i)).collect();
+                #[expect(clippy::cast_possible_truncation, reason = "at most MAX_SIZE squared pixels")]
+                let batch = Batch {
+                    x: 0,
+                    y: 0,
+                    width: fragments.width,
+                    first: first as u32,
+                    lists: rows.rows(first, last),
+                    sorted: None,
+                    background: &background,
+                };
+                workers.with(self.variants.len(), |worker| {
+                    let mut tally = Tally::new(self.variants.len());
+                    let mut piece = Piece::with_capacity(last - first, &self.variants);
+                    worker.resolver.run(&self.context(), &batch, &mut worker.resolved, &mut tally.variants);
+                    piece.append(&batch, &worker.resolved, &mut tally);
+                    band.store_run(&piece);
+                    tally
+                })
+            })
+            .reduce(|| Tally::new(self.variants.len()), |a, b| a.merge(&b))
+    }
+
+    fn frames<S: Sample>(&self, finished: Finished<S>, threads: usize) -> Vec<Frame> {
+        let Finished { target, tally, raster_nanos, wall_nanos } = finished;
+        let (width, height) = (target.width, target.height);
+        let clock = Clock { setup_nanos: raster_nanos, wall_nanos, threads };
+        let first_depth = Arc::new(target.first_depth);
+        let fragment_count = Arc::new(target.fragment_count);
+        let mut images: Vec<_> = target.images.into_iter().map(Some).collect();
+        let mut last_use = vec![0; images.len()];
+        for (request, (variant, _)) in self.answers.iter().enumerate() {
+            last_use[*variant] = request;
+        }
+        let answer = |(request, (index, params)): (usize, &(usize, Params))| {
+            // only the last of several equal requests can take the buffers; the others copy them
+            let image =
+                if last_use[*index] == request { images[*index].take() } else { images[*index].clone() };
+            let image = image.unwrap_or_else(|| unreachable!("taken at the last use alone"));
+            Frame {
+                technique: self.variants[*index].info.id,
+                params: params.clone(),
+                width,
+                height,
+                color: S::wrap(image.color),
+                transmittance: S::wrap(image.transmittance),
+                transmittance_channels: image.channels,
+                first_depth: Arc::clone(&first_depth),
+                fragment_count: Arc::clone(&fragment_count),
+                stats: self.stats(*index, last_use[*index] != request, &tally, &clock, width, height),
+            }
+        };
+        self.answers.iter().enumerate().map(answer).collect()
+    }
+
+    #[expect(clippy::cast_precision_loss, reason = "statistics")]
+    fn stats(
+        &self,
+        index: usize,
+        duplicate: bool,
+        tally: &Tally,
+        clock: &Clock,
+        width: u32,
+        height: u32,
+    ) -> Stats {
+        let mean = tally.fragments as f64 / (f64::from(width) * f64::from(height));
+        let deepest = usize::try_from(tally.deepest).unwrap_or(usize::MAX);
+        let variant = &tally.variants[index];
+        let cost = self.variants[index].technique.cost(&DepthComplexity { mean, max: deepest });
+        let share = |nanos: u64| nanos as f64 / clock.threads as f64 * 1e-6;
+        let raster_ms = clock.setup_nanos as f64 * 1e-6 + share(tally.raster_nanos);
+        let resolve_ms = share(variant.nanos);
+        let alone = self.variants.len() == 1;
+        Stats {
+            total_ms: if alone { clock.wall_nanos as f64 * 1e-6 } else { raster_ms + resolve_ms },
+            raster_ms,
+            resolve_ms,
+            fragments: tally.fragments,
+            depth_complexity_mean: mean,
+            depth_complexity_max: tally.deepest,
+            geometry_passes: cost.geometry_passes,
+            bytes_per_pixel: cost.bytes_per_pixel,
+            dropped: variant.dropped,
+            skipped: vec![
+                ("empty_tiles", tally.empty_tiles),
+                ("empty_pixels", tally.empty_pixels),
+                ("occluded_fragments", tally.occluded_fragments),
+                ("single_fragment_pixels", variant.single_fragment_pixels),
+                ("duplicate_variants", u64::from(duplicate)),
+            ],
+            threads: clock.threads,
+        }
+    }
+}
+
+/// Times that all variants of a run share.
+struct Clock {
+    setup_nanos: u64,
+    wall_nanos: u64,
+    threads: usize,
+}
