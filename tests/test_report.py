@@ -80,6 +80,17 @@ class TestRows:
         assert [row["technique"] for row in rows] == ["a", "b k=1,2"]
         assert [float(row["rmse"]) for row in rows] == [row.rmse for row in result.rows]
 
+    def test_factors(self):
+        factors = [1.0, 119.6, 0.01234, 4.39e13, math.inf, math.nan]
+        assert [report._factor_text(factor) for factor in factors] == [
+            "1",
+            "120",
+            "0.0123",
+            "> 1e6",
+            "exact",
+            "-",
+        ]
+
     def test_label(self):
         assert label("wboit", {}) == "wboit"
         assert label("lwboit", {"bins": 8, "smooth": True}) == "lwboit bins=8 smooth=true"
@@ -187,6 +198,6 @@ class TestContactSheet:
 
     @pytest.mark.parametrize("options", [{"columns": 1}, {"cell_width": 10}, {"exposure": np.nan}])
     def test_wrong_arguments(self, tmp_path, options):
-        with pytest.raises(ValueError, match=r"columns|exposure"):
+        with pytest.raises(ValueError, match=r"columns|cell_width|exposure"):
             self.sheet(tmp_path, comparison(random_image(1), reference=random_image(2)), **options)
         assert not list(tmp_path.iterdir())

@@ -167,7 +167,9 @@ def _add_techniques(commands: Any) -> None:
 
 def _add_demo(commands: Any) -> None:
     command = commands.add_parser("demo", help="compare all techniques on two scenes")
-    command.add_argument("-o", "--output", type=Path, default=Path("out/demo"), metavar="FOLDER")
+    command.add_argument(
+        "-o", "--output", type=Path, default=Path("out/demo"), metavar="FOLDER", help="default: out/demo"
+    )
     _add_size(command)
     command.set_defaults(run=_demo)
 

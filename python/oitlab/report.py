@@ -318,7 +318,9 @@ def write_csv(path: str | os.PathLike[str], comparison: Comparison) -> None:
 def _factor_text(factor: float) -> str:
     if math.isnan(factor):
         return "-"
-    return "exact" if math.isinf(factor) else f"{factor:.3g}"
+    if math.isinf(factor):
+        return "exact"
+    return f"{factor:.3g}" if factor < 1e6 else "> 1e6"
 
 
 def _count_text(count: float | str) -> str:

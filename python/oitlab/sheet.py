@@ -25,9 +25,7 @@ if TYPE_CHECKING:
 __all__ = ["write_contact_sheet"]
 
 _ERROR_RANGE = (1e-4, 1.0)
-_ERROR_TEXT = (
-    "error: largest absolute difference of R, G and B in linear light, logarithmic; black is 0.0001 or less"
-)
+_ERROR_TEXT = "error: largest absolute difference of R, G and B in linear light, logarithmic; black is 0.0001 or less, pale yellow 1 or more"
 _DPI = 100
 _GAP = 14
 _LABEL = 24
@@ -75,14 +73,14 @@ def write_contact_sheet(
     title: str,
     *,
     exposure: float = 0.0,
-    columns: int = 4,
+    columns: int | None = None,
     cell_width: int = 460,
 ) -> None:
     """Write one PNG with the image and the error map of every technique.
 
     The first cell shows the reference over its number of fragments per pixel. Every other cell shows a
     technique's image, sRGB-encoded, over its error: the largest absolute channel error of linear RGB on a
-    logarithmic scale from 0.0001 to 1, the same for all cells; black is 0.0001 or less. Images larger than
+    logarithmic scale from 0.0001 (black, and less) to 1 (pale yellow, and more), the same for all cells. Images larger than
     a cell are reduced by a whole factor: the mean of linear light for pictures, the maximum for maps, so
     that no isolated error vanishes. Smaller ones are enlarged by repeating pixels.
 
@@ -96,8 +94,8 @@ def write_contact_sheet(
         Heading of the page.
     exposure : float
         Stops for the pictures, see `write_png`.
-    columns : int
-        Cells in a row, >= 2 (fewer are used when there are fewer cells, but never less than 2).
+    columns : int, optional
+        Cells in a row, >= 2. When absent: 3 to 5, whichever leaves the fewest places empty.
     cell_width : int
         Largest width of a picture in pixels, >= 64.
 
@@ -120,11 +118,15 @@ def write_contact_sheet(
     ...     sheet.stat().st_size > 0
     True
     """
-    if columns < 2 or cell_width < 64:
-        raise ValueError(f"columns, cell_width: expected >= 2 and >= 64, got {columns} and {cell_width}")
+    if columns is not None and columns < 2:
+        raise ValueError(f"columns: expected >= 2, got {columns}")
+    if cell_width < 64:
+        raise ValueError(f"cell_width: expected >= 64, got {cell_width}")
     cells = list(_cells(comparison, exposure, cell_width))
     height, width = cells[0].picture.shape[:2]
-    columns = max(2, min(columns, len(cells)))
+    if columns is None:
+        columns = min((4, 3, 5), key=lambda count: -len(cells) % count) if len(cells) > 4 else len(cells)
+    columns = max(2, columns)
     page = _Page(columns, math.ceil(len(cells) / columns), width, height)
     save_bytes(path, _drawn(page, cells, title))
 
