@@ -25,7 +25,10 @@ if TYPE_CHECKING:
 __all__ = ["write_contact_sheet"]
 
 _ERROR_RANGE = (1e-4, 1.0)
-_ERROR_TEXT = "error: largest absolute difference of R, G and B in linear light, logarithmic; black is 0.0001 or less, pale yellow 1 or more"
+_ERROR_TEXT = (
+    "error: largest absolute difference of R, G and B in linear light, logarithmic; "
+    "black is 0.0001 or less, pale yellow 1 or more"
+)
 _DPI = 100
 _GAP = 14
 _LABEL = 24
@@ -79,10 +82,10 @@ def write_contact_sheet(
     """Write one PNG with the image and the error map of every technique.
 
     The first cell shows the reference over its number of fragments per pixel. Every other cell shows a
-    technique's image, sRGB-encoded, over its error: the largest absolute channel error of linear RGB on a
-    logarithmic scale from 0.0001 (black, and less) to 1 (pale yellow, and more), the same for all cells. Images larger than
-    a cell are reduced by a whole factor: the mean of linear light for pictures, the maximum for maps, so
-    that no isolated error vanishes. Smaller ones are enlarged by repeating pixels.
+    technique's image, sRGB-encoded, over its error: the largest absolute channel error of linear RGB. All
+    cells share one logarithmic scale, from 0.0001 or less (black) to 1 or more (pale yellow). Images larger
+    than a cell are reduced by a whole factor: the mean of linear light for pictures, the maximum for maps,
+    so that no isolated error vanishes. Smaller ones are enlarged by repeating pixels.
 
     Parameters
     ----------
