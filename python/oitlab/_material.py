@@ -93,6 +93,6 @@ def _mtl_alpha(kwargs: dict[str, Any], name: str) -> float | None:
 
 def _floats(values: Any, name: str, key: str) -> list[float]:
     try:
-        return [float(value) for value in np.atleast_1d(values)]
+        return [float(value) for value in np.atleast_1d(values).tolist()]
     except ValueError as error:
         raise ValueError(f"material {name!r}: {key} is not a number: {error}") from error

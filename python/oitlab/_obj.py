@@ -11,11 +11,21 @@ ZERO_OR_RELATIVE = re.compile(rb"^[ \t]*f[ \t](?:[^\n]*[ \t/])?(?:-|0+(?![0-9]))
 LIBRARY = re.compile(rb"^[ \t]*mtllib[ \t]+(.+?)[ \t\r]*$", re.MULTILINE)
 
 
+def as_utf8(data: bytes) -> bytes:
+    """Re-encode old text (names and comments in Latin-1), which trimesh would lose; UTF-8 stays as it is."""
+    try:
+        data.decode()
+    except UnicodeDecodeError:
+        return data.decode("latin-1").encode()
+    return data
+
+
 def prepare(data: bytes) -> bytes:
     """Refuse numbers that are not finite, and make relative face indices absolute.
 
     A relative index counts from the last element before its line; trimesh counts from the end of the file.
     """
+    data = as_utf8(data)
     bad = NOT_FINITE.search(data)
     if bad:
         line = data.count(b"\n", 0, bad.end()) + 1

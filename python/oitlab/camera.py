@@ -40,8 +40,8 @@ class Camera:
 
     Examples
     --------
-    >>> Camera(eye=(0, 0, 2)).depths([(0, 0, 0), (1, 1, -3)])
-    array([2., 5.])
+    >>> Camera(eye=(0, 0, 2)).depths([(0, 0, 0), (1, 1, -3)]).tolist()
+    [2.0, 5.0]
     """
 
     __slots__ = ("_eye", "_far", "_fov_y", "_handle", "_near", "_ortho_height", "_target", "_up")
@@ -156,7 +156,7 @@ class Camera:
         --------
         >>> camera = Camera.framing([(-1, -1, -1), (1, 1, 1)], direction=(0, 0, 1), aspect=1.0, margin=1.0)
         >>> round(camera.eye[2], 3), round(camera.near, 3), round(camera.far, 3)
-        (3.414, 2.366, 4.503)
+        (3.414, 2.366, 4.502)
         """
         low, high = _checked_bounds(bounds)
         fov, ratio, room = scalar(fov_y, "fov_y"), scalar(aspect, "aspect"), scalar(margin, "margin")

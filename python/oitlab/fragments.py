@@ -52,8 +52,8 @@ class Fragments:
     ... )
     >>> two_layers
     Fragments(1 x 1 pixels, 2 fragments)
-    >>> two_layers.pixel(0, 0)["depth"]
-    array([2., 1.], dtype=float32)
+    >>> two_layers.pixel(0, 0)["depth"].tolist()
+    [2.0, 1.0]
     """
 
     __slots__ = ("_handle",)

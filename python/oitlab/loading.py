@@ -13,7 +13,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from . import _gltf, _obj
+from . import _gltf, _obj, _off
 from ._convert import count
 from ._material import Material, bytes_to_linear, from_trimesh
 from .camera import Camera
@@ -147,6 +147,8 @@ def _read(file: Path) -> _Model:
             data = prepared.data
         elif kind == ".obj":
             data = _obj.prepare(data)
+        elif kind == ".off":
+            _off.check(data)
         scene = _trimesh_scene(file, data)
     except OSError as error:
         raise OSError(f"cannot read {file}: {_reason(error)}") from error
@@ -161,8 +163,13 @@ def _read(file: Path) -> _Model:
 def _trimesh_scene(file: Path, data: bytes) -> Any:
     import trimesh
 
+    class Resolver(trimesh.resolvers.FilePathResolver):  # type: ignore[misc]
+        def get(self, name: str) -> bytes:
+            data: bytes = super().get(name)
+            return _obj.as_utf8(data) if name.lower().endswith(".mtl") else data
+
     kind = trimesh.util.split_extension(str(file), special=["tar.gz", "tar.bz2"]).lower()
-    resolver = trimesh.resolvers.FilePathResolver(str(file.absolute()))
+    resolver = Resolver(str(file.absolute()))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         warnings.filterwarnings("error", message="string or file could not be read to its end")
@@ -196,17 +203,24 @@ def _parts(file: Path, model: _Model) -> Iterator[_Part]:
         matrix, name = model.scene.graph[node]
         if name in drawable:
             placed.add(name)
+            if not np.isfinite(matrix).all():
+                raise ValueError(f"{file}: geometry {name!r} is placed by a transform that is not finite")
             yield _placed(drawable[name], np.asarray(matrix, dtype=np.float64))
     model.ignored.extend(f"{name!r} (in no scene)" for name in drawable if name not in placed)
 
 
 def _local_part(file: Path, model: _Model, name: str, geometry: Any) -> _Part:
     vertices = np.asarray(geometry.vertices, dtype=np.float64)
+    if vertices.ndim != 2 or vertices.shape[1] != 3:
+        raise ValueError(f"{file}: geometry {name!r}: vertices have {vertices.shape[-1]} coordinates, not 3")
     faces = np.asarray(geometry.faces, dtype=np.int64).reshape(-1, 3)
     _check_indices(file, name, faces, len(vertices))
     if model.gltf is not None and model.gltf.uses_draco and len(vertices) and not vertices.any():
         raise ValueError(f"cannot read {file}: geometry {name!r}: its Draco data could not be decoded")
-    material = model.material_of(geometry.visual)
+    try:
+        material = model.material_of(geometry.visual)
+    except ValueError as error:
+        raise ValueError(f"{file}: {error}") from error
     if material.textured and material.name not in model.textured:
         model.textured.append(material.name)
     domain, colors, material = _colors(geometry.visual, material, len(vertices))

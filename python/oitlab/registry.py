@@ -6,6 +6,8 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from html import escape
+from itertools import zip_longest
+from textwrap import wrap
 from types import MappingProxyType
 from typing import Any, overload
 
@@ -134,6 +136,7 @@ def techniques() -> TechniqueTable:
     return TechniqueTable(_entry(raw) for raw in _oitlab.techniques())
 
 
+CELL_WIDTH = 28
 _COLUMNS = ("id", "name", "params", "passes", "bytes/pixel", "backends", "source")
 
 
@@ -150,11 +153,14 @@ def _row(entry: TechniqueInfo) -> tuple[str, ...]:
 
 
 def _text_table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    widths = [max(map(len, cells)) for cells in zip(columns, *rows, strict=True)]
-    lines = [columns, ["-" * width for width in widths], *rows]
+    """Align cells, each wrapped to `CELL_WIDTH`."""
+    wrapped = [[wrap(cell, CELL_WIDTH, break_long_words=False) for cell in row] for row in rows]
+    lines = [list(line) for row in wrapped for line in zip_longest(*row, fillvalue="")]
+    widths = [max(map(len, cells)) for cells in zip(columns, *lines, strict=True)]
+    table = [columns, ["-" * width for width in widths], *lines]
     return "\n".join(
         "  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip()
-        for line in lines
+        for line in table
     )
 
 

@@ -286,5 +286,5 @@ def _grid_faces(rows: int, columns: int) -> NDArray[np.int64]:
     row, column = np.meshgrid(np.arange(rows), np.arange(columns), indexing="ij")
     here, right = row * columns + column, row * columns + (column + 1) % columns
     below, diagonal = (row + 1) % rows * columns + column, (row + 1) % rows * columns + (column + 1) % columns
-    cells = [(here, below, diagonal), (here, diagonal, right)]
+    cells = [(here, diagonal, below), (here, right, diagonal)]
     return np.stack([np.stack(cell, axis=-1) for cell in cells], axis=-2).reshape(-1, 3)

@@ -1,0 +1,150 @@
+"""Captured fragments: arrays in, the same arrays and the same bits out."""
+
+import pickle
+from typing import Any
+
+import numpy as np
+import oitlab
+import pytest
+from oitlab import Fragments
+
+TWO_PIXELS: dict[str, Any] = {
+    "width": 2,
+    "height": 1,
+    "offsets": [0, 2, 3],
+    "depth": [2.0, 1.0, 3.0],
+    "color": [(0.5, 0, 0), (0, 0.25, 0), (0, 0, 0.75)],
+    "alpha": [0.5, 0.25, 0.75],
+    "primitive": [4, 0, 2],
+    "background": (1.0, 0.5, 0.25),
+    "near": 0.5,
+    "far": 8.0,
+}
+ARRAYS = ("offsets", "depth", "color", "alpha", "primitive", "background")
+
+
+def same(one: Fragments, two: Fragments) -> None:
+    for name in ARRAYS:
+        np.testing.assert_array_equal(getattr(one, name), getattr(two, name))
+    assert one == two
+    assert hash(one) == hash(two)
+
+
+def test_arrays_come_back_in_their_dtypes() -> None:
+    fragments = Fragments(**TWO_PIXELS)
+    dtypes = {name: str(getattr(fragments, name).dtype) for name in ARRAYS}
+    assert dtypes == {
+        "offsets": "int64",
+        "depth": "float32",
+        "color": "float32",
+        "alpha": "float32",
+        "primitive": "uint32",
+        "background": "float32",
+    }
+    for name in ARRAYS:
+        np.testing.assert_array_equal(getattr(fragments, name), TWO_PIXELS[name])
+    assert (fragments.width, fragments.height, fragments.near, fragments.far) == (2, 1, 0.5, 8.0)
+    assert len(fragments) == 3
+    np.testing.assert_array_equal(fragments.counts, [[2, 1]])
+
+
+def test_defaults_follow_from_the_fragments() -> None:
+    fragments = Fragments(**{key: value for key, value in TWO_PIXELS.items() if key != "primitive"})
+    assert fragments.depth_range == (1.0, 3.0)
+    assert fragments.primitive_depth is None
+    assert fragments.primitive.dtype == np.uint32
+    assert Fragments(**TWO_PIXELS, depth_range=(0.5, 9.0)).depth_range == (0.5, 9.0)
+
+
+def test_a_pixel_is_its_slice() -> None:
+    fragments = Fragments(**TWO_PIXELS)
+    pixel = fragments.pixel(0, 0)
+    np.testing.assert_array_equal(pixel["depth"], [2, 1])
+    np.testing.assert_array_equal(pixel["color"], [(0.5, 0, 0), (0, 0.25, 0)])
+    np.testing.assert_array_equal(fragments.pixel(1, 0)["primitive"], [2])
+    for x, y in ((2, 0), (0, 1), (-1, 0)):
+        with pytest.raises(IndexError, match="outside"):
+            fragments.pixel(x, y)
+
+
+def test_pickles_hold_everything() -> None:
+    image = np.random.default_rng(0).random((1, 2, 3))
+    given = Fragments(**{**TWO_PIXELS, "background": image, "primitive_depth": np.arange(5.0) + 1})
+    copy = pickle.loads(pickle.dumps(given))
+    same(copy, given)
+    np.testing.assert_array_equal(copy.primitive_depth, np.arange(5.0) + 1)
+
+
+def test_a_capture_survives_its_arrays(small_scene: oitlab.Scene) -> None:
+    fragments = oitlab.capture(small_scene)
+    assert len(fragments) > 500
+    again = Fragments(
+        **{name: getattr(fragments, name) for name in ARRAYS},
+        width=fragments.width,
+        height=fragments.height,
+        near=fragments.near,
+        far=fragments.far,
+        depth_range=fragments.depth_range,
+        primitive_depth=fragments.primitive_depth,
+    )
+    same(again, fragments)
+    same(pickle.loads(pickle.dumps(fragments)), fragments)
+
+
+@pytest.mark.parametrize("technique", oitlab.techniques().ids)
+def test_a_capture_gives_its_scenes_bits(small_scene: oitlab.Scene, technique: str) -> None:
+    direct = oitlab.render(small_scene, technique)
+    fragments = oitlab.capture(small_scene)
+    for source in (fragments, pickle.loads(pickle.dumps(fragments))):
+        captured = oitlab.render(source, technique)
+        np.testing.assert_array_equal(captured.color, direct.color)
+        np.testing.assert_array_equal(captured.transmittance, direct.transmittance)
+        np.testing.assert_array_equal(captured.first_depth, direct.first_depth)
+        np.testing.assert_array_equal(captured.fragment_count, direct.fragment_count)
+
+
+def test_capture_agrees_with_the_frame(small_scene: oitlab.Scene) -> None:
+    fragments = oitlab.capture(small_scene, threads=1)
+    frame = oitlab.render(small_scene, "a_buffer")
+    np.testing.assert_array_equal(fragments.counts, frame.fragment_count)
+    y, x = np.unravel_index(fragments.counts.argmax(), fragments.counts.shape)
+    assert fragments.pixel(int(x), int(y))["depth"].min() == frame.first_depth[y, x]
+    assert (fragments.near, fragments.far) == (small_scene.camera.near, small_scene.camera.far)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"width": 0}, "width"),
+        ({"width": -2}, "width"),
+        ({"offsets": [0, 2]}, "offsets"),
+        ({"offsets": [0, 2, 4]}, "offsets"),
+        ({"offsets": [0, 3, 2]}, "offsets"),
+        ({"offsets": [1, 2, 3]}, "offsets"),
+        ({"offsets": [0.0, 2.0, 3.0]}, "offsets must hold integers"),
+        ({"depth": [2.0, 1.0]}, "depth"),
+        ({"depth": [2.0, 1.0, np.nan]}, r"depth.*2"),
+        ({"depth": [2.0, -1.0, 1.0]}, r"depth.*1"),
+        ({"color": [(0.5, 0, 0)]}, "color"),
+        ({"color": [(0.5, 0)] * 3}, "color must have shape"),
+        ({"color": [(0.5, 0, np.inf)] * 3}, r"color.*0"),
+        ({"alpha": [0.5, 1.5, 0.5]}, r"alpha.*1"),
+        ({"alpha": [0.5, 0.5]}, "alpha"),
+        ({"alpha": ["a", "b", "c"]}, "alpha must hold real numbers"),
+        ({"primitive": [0, 1]}, "primitive"),
+        ({"primitive": [0, 1, -1]}, r"primitive.*-1"),
+        ({"primitive": [0, 1, 2**32]}, "primitive.*4294967296"),
+        ({"background": (0, 0)}, "background must have shape"),
+        ({"background": np.zeros((2, 2, 3))}, "background must have shape"),
+        ({"background": (0, np.nan, 0)}, "background"),
+        ({"near": 0.0}, "near"),
+        ({"far": 0.25}, "near|far"),
+        ({"depth_range": (2.0, 1.0)}, "depth_range"),
+        ({"depth_range": (2.0,)}, "depth_range must have shape"),
+        ({"primitive_depth": [1.0, 2.0]}, "primitive"),
+        ({"primitive_depth": [1.0, 2.0, 3.0, 4.0, np.nan]}, r"primitive_depth.*4"),
+    ],
+)
+def test_bad_fragments_are_refused_by_name(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        Fragments(**{**TWO_PIXELS, **changes})

@@ -1,0 +1,109 @@
+"""The registry as Python sees it."""
+
+from dataclasses import FrozenInstanceError
+from pathlib import Path
+
+import numpy as np
+import oitlab
+import pytest
+from oitlab.registry import TechniqueTable
+
+TABLE = oitlab.techniques()
+BIBLIOGRAPHY = Path(__file__).parents[1] / "references.bib"
+AXES = {"memory", "insertion", "merge", "normalize", "opacity"}
+
+
+def test_it_is_an_immutable_sequence() -> None:
+    assert isinstance(TABLE, TechniqueTable)
+    assert len(TABLE) == len(TABLE.ids) == len(set(TABLE.ids)) >= 9
+    assert TABLE[0] == next(iter(TABLE))
+    assert TABLE[:2].ids == TABLE.ids[:2]
+    assert oitlab.techniques() == TABLE
+    assert hash(TABLE) == hash(oitlab.techniques())
+    with pytest.raises(FrozenInstanceError):
+        TABLE[0].id = "other"  # type: ignore[misc]
+    with pytest.raises(TypeError):
+        TABLE[0] = TABLE[1]  # type: ignore[index]
+    with pytest.raises(TypeError):
+        TABLE[0].axes["memory"] = "all"  # type: ignore[index]
+
+
+def test_it_is_indexed_by_id_and_alias() -> None:
+    assert TABLE["a_buffer"] is TABLE["over"]
+    assert "over" in TABLE
+    assert TABLE[0] in TABLE
+    assert "no_such" not in TABLE
+    assert TABLE.get("no_such") is None
+    with pytest.raises(KeyError, match=r"no_such.*a_buffer"):
+        TABLE["no_such"]
+    with pytest.raises(IndexError):
+        TABLE[len(TABLE)]
+
+
+@pytest.mark.parametrize("entry", TABLE, ids=TABLE.ids)
+def test_every_entry_is_complete(entry: oitlab.TechniqueInfo) -> None:
+    assert entry.name
+    assert entry.doc.strip()
+    assert entry.citation
+    assert set(entry.axes) == AXES
+    assert isinstance(entry.properties["order_independent"], bool)
+    assert "cpu" in entry.backends
+    assert entry.geometry_passes
+    assert entry.bytes_per_pixel
+    names = [param.name for param in entry.params]
+    assert len(names) == len(set(names))
+    for param in entry.params:
+        assert param.type
+        assert param.range
+        assert param.doc
+
+
+@pytest.mark.parametrize("entry", TABLE, ids=TABLE.ids)
+def test_every_citation_is_in_the_bibliography(entry: oitlab.TechniqueInfo) -> None:
+    if not BIBLIOGRAPHY.exists():
+        pytest.skip("references.bib is not there")
+    text = BIBLIOGRAPHY.read_text()
+    for key in entry.citation:
+        assert f"{{{key}," in text
+
+
+@pytest.mark.parametrize("entry", TABLE, ids=TABLE.ids)
+def test_stated_defaults_and_resolved_params_give_the_default_image(
+    entry: oitlab.TechniqueInfo, small_scene: oitlab.Scene
+) -> None:
+    plain = oitlab.render(small_scene, entry.id)
+    stated = {param.name: param.default for param in entry.params if not is_derived(param)}
+    assert stated == {name: plain.params[name] for name in stated}
+    resolved = {name: value for name, value in plain.params.items() if value is not None}
+    for params in (stated, resolved):
+        again = oitlab.render(small_scene, entry.id, params)
+        assert again.params == plain.params
+        np.testing.assert_array_equal(again.color, plain.color)
+
+
+def is_derived(param: oitlab.ParamInfo) -> bool:
+    """Whether the default is a text that says what it is derived from."""
+    return isinstance(param.default, str) and repr(param.default)[1:-1] not in param.range
+
+
+def test_it_prints_as_an_aligned_table() -> None:
+    lines = str(TABLE).splitlines()
+    assert max(map(len, lines)) <= 160
+    assert {line.split()[0] for line in lines[2:] if line[0] != " "} == set(TABLE.ids)
+    start = lines[0].index("name")
+    for entry in TABLE:
+        (line,) = (line for line in lines if line.split(" ")[0] == entry.id)
+        assert line[start:].startswith(entry.name.split()[0])
+    assert repr(TABLE) == str(TABLE)
+
+
+def test_it_shows_as_html_in_notebooks() -> None:
+    html = TABLE._repr_html_()
+    assert html.count("<tr>") == 1 + len(TABLE)
+    assert all(f"<td>{name}</td>" in html for name in TABLE.ids)
+
+
+def test_an_entry_prints_its_params() -> None:
+    text = str(TABLE["lwboit"])
+    assert text.startswith("lwboit")
+    assert all(param.name in text for param in TABLE["lwboit"].params)
