@@ -10,7 +10,7 @@ REC_709 = np.array([[0.64, 0.33], [0.30, 0.60], [0.15, 0.06]])
 REC_2020 = np.array([[0.708, 0.292], [0.170, 0.797], [0.131, 0.046]])
 D65 = np.array([0.3127, 0.3290])
 
-# From the published CIEDE2000 test data [SWD05], the pairs that Rec. 709 can show.
+# From the published CIEDE2000 test data [Sharma2005], the pairs that Rec. 709 can show.
 CIEDE2000 = [
     ((50, 0, 0), (50, -1, 2), 2.3669),
     ((50, 2.49, -0.001), (50, -2.49, 0.0009), 7.1792),

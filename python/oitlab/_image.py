@@ -94,7 +94,7 @@ def refuse_non_finite(array: NDArray[Any], name: str, *, infinity: bool = False)
 
 
 def srgb_encode(linear: NDArray[Any]) -> NDArray[np.float64]:
-    """Encode linear light in [0, 1] with the sRGB curve [IEC61966].
+    """Encode linear light in [0, 1] with the sRGB curve [IEC1999].
 
     Parameters
     ----------

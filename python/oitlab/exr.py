@@ -33,7 +33,7 @@ from .metrics import error_map
 __all__ = ["read_exr", "write_exr"]
 
 _REC_709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
-"""x and y of red, green, blue and white [BT709]."""
+"""x and y of red, green, blue and white [ITU2015]."""
 
 
 def write_exr(

@@ -56,11 +56,11 @@ def compare(
     | `rmse` | its square root | |
     | `psnr` | 10 log10(data_range^2 / mse) in dB, inf for equal images; needs `data_range` | |
     | `max_error` | largest absolute error of any channel | |
-    | `mse_255` | 255^2 mse: the same on a 0..255 scale, as [FEE21] reports it; not rounded | |
+    | `mse_255` | 255^2 mse: the same on a 0..255 scale, as [Friederichs2021] reports it; not rounded | |
     | `bad_pixels` | share of pixels with a channel off by more than `threshold`, in [0, 1] | |
-    | `delta_e_2000` | mean CIEDE2000 [SWD05], D65, 1 is about just noticeable | clipped to [0, 1] |
-    | `delta_e_itp` | mean Delta E ITP [BT2124], 1 is just noticeable | PQ range, see `luminance` |
-    | `flip` | mean LDR FLIP [ANA20], in [0, 1] | clipped to [0, 1] |
+    | `delta_e_2000` | mean CIEDE2000 [Sharma2005], D65, 1 is about just noticeable | clipped to [0, 1] |
+    | `delta_e_itp` | mean Delta E ITP [ITU2019], 1 is just noticeable | PQ range, see `luminance` |
+    | `flip` | mean LDR FLIP [Andersson2020], in [0, 1] | clipped to [0, 1] |
 
     Parameters
     ----------

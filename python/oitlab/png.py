@@ -17,7 +17,7 @@ def write_png(path: str | os.PathLike[str], image: ImageLike, *, exposure: float
     r"""Write an image as an 8-bit sRGB PNG.
 
     Linear light is multiplied by 2 ** `exposure`, clipped to [0, 1], encoded with the sRGB curve
-    [IEC61966] and rounded to nearest. Nothing else: no tone map, no dither. The file says that it is
+    [IEC1999] and rounded to nearest. Nothing else: no tone map, no dither. The file says that it is
     sRGB. It is for eyes; `write_exr` keeps the numbers.
 
     The file is written beside its place and renamed into it, so that a crash leaves the old file whole.
