@@ -149,11 +149,11 @@ impl Resolver {
         };
         let shortcut = context.skip && technique.properties().exact_for_one;
         self.pixels.clear();
-        for i in 0..lists.len() {
+        for (i, out) in out.iter_mut().enumerate() {
             match lists.count(i) {
                 0 => {}
                 1 if shortcut => {
-                    out[i] = single(lists, i, batch.background(i));
+                    *out = single(lists, i, batch.background(i));
                     tally.single_fragment_pixels += 1;
                 }
                 #[expect(clippy::cast_possible_truncation, reason = "pixels of a batch")]

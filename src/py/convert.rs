@@ -23,7 +23,7 @@ fn input(value: &Bound<'_, PyAny>) -> PyResult<Input> {
     if value.is_instance_of::<PyString>() {
         return Ok(Input::Text(value.extract()?));
     }
-    let is_numpy = value.get_type().module().is_ok_and(|m| m.to_string() == "numpy");
+    let is_numpy = value.get_type().module().is_ok_and(|m| m == "numpy");
     if is_numpy && value.getattr("ndim").and_then(|n| n.extract::<usize>()).is_ok_and(|n| n == 0) {
         return input(&value.call_method0("item")?);
     }

@@ -85,7 +85,7 @@ fn interruptible<T: Send>(
                         return Err(PyRuntimeError::new_err(message));
                     }
                     Err(RecvTimeoutError::Timeout) => {
-                        if let Err(signal) = Python::attach(|py| py.check_signals()) {
+                        if let Err(signal) = Python::attach(Python::check_signals) {
                             stop.store(true, Ordering::Relaxed);
                             return Err(signal);
                         }

@@ -49,13 +49,13 @@ fn choice<T: Copy>(argument: &'static str, value: &str, choices: &[(&str, T)]) -
 
 fn faces(rows: &[[i64; 3]], vertices: usize) -> Result<Vec<[u32; 3]>, Error> {
     let index = |v: i64| u32::try_from(v).ok();
-    let face = |(i, f): (usize, &[i64; 3])| match f.map(index) {
-        [Some(a), Some(b), Some(c)] => Ok([a, b, c]),
-        _ => {
+    let face = |(i, f): (usize, &[i64; 3])| {
+        let [Some(a), Some(b), Some(c)] = f.map(index) else {
             let problem =
                 format!("face {i} is ({}, {}, {}), but there are {vertices} vertices", f[0], f[1], f[2]);
-            Err(Error::argument("faces", problem))
-        }
+            return Err(Error::argument("faces", problem));
+        };
+        Ok([a, b, c])
     };
     rows.iter().enumerate().map(face).collect()
 }

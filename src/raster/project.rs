@@ -61,12 +61,12 @@ impl Projector {
     }
 
     /// A world point in view space.
-    pub fn to_view(&self, point: [f64; 3]) -> DVec3 {
+    pub fn view_point(&self, point: [f64; 3]) -> DVec3 {
         self.camera.to_view(DVec3::from(point))
     }
 
     /// A view-space point on the screen, in pixels.
-    pub fn to_screen(&self, p: DVec3) -> (f64, f64) {
+    pub fn screen_point(&self, p: DVec3) -> (f64, f64) {
         let scale = if self.perspective { self.scale / p.z } else { self.scale };
         (self.center.0 + scale * p.x, self.center.1 - scale * p.y)
     }
@@ -77,7 +77,7 @@ impl Projector {
         if !(self.camera.near()..=self.camera.far()).contains(&p.z) {
             return outside;
         }
-        let (x, y) = self.to_screen(p);
+        let (x, y) = self.screen_point(p);
         let ((x_min, x_max), (y_min, y_max)) = self.limits;
         if !((x_min..=x_max).contains(&x) && (y_min..=y_max).contains(&y)) {
             return outside;
@@ -103,7 +103,7 @@ impl Projector {
 
     /// A clipped point, snapped: inside the guard band up to the rounding of the clip.
     pub fn snap_clipped(&self, p: DVec3) -> (i32, i32) {
-        let (x, y) = self.to_screen(p);
+        let (x, y) = self.screen_point(p);
         let ((x_min, x_max), (y_min, y_max)) = self.limits;
         (snap(x.clamp(x_min, x_max)), snap(y.clamp(y_min, y_max)))
     }
@@ -176,7 +176,7 @@ mod tests {
         {
             let p = projector(projection);
             let (origin, direction) = p.ray(17, 63);
-            let (x, y) = p.to_screen(origin + 4.0 * direction);
+            let (x, y) = p.screen_point(origin + 4.0 * direction);
             assert!((x - 17.5).abs() < 1e-12 && (y - 63.5).abs() < 1e-12);
         }
     }

@@ -165,7 +165,7 @@ pub fn set_up(
         .meshes()
         .iter()
         .map(|mesh| {
-            let project = |v: &[f64; 3]| projector.project(projector.to_view(*v));
+            let project = |v: &[f64; 3]| projector.project(projector.view_point(*v));
             mesh.vertices().par_iter().with_min_len(4096).map(project).collect()
         })
         .collect();
@@ -231,7 +231,9 @@ impl Job<'_> {
         self.is_seen(doubled_area(&points)).then_some(())?;
         let light = match self.mesh.material().shading {
             Shading::Unlit => 1.0,
-            shading => light(shading, self.corners(face, projector), projector.is_perspective()),
+            shading @ Shading::Lambert => {
+                light(shading, self.corners(face, projector), projector.is_perspective())
+            }
         };
         chunk.triangles.push(Triangle { face: face as u32, light, vertices });
         Some(((chunk.triangles.len() - 1) as u32, tiles))
@@ -253,7 +255,7 @@ impl Job<'_> {
     }
 
     fn corners(&self, face: usize, projector: &Projector) -> [DVec3; 3] {
-        self.mesh.faces()[face].map(|v| projector.to_view(self.mesh.vertices()[v as usize]))
+        self.mesh.faces()[face].map(|v| projector.view_point(self.mesh.vertices()[v as usize]))
     }
 
     /// Front faces wind counter-clockwise in world space, hence clockwise reads negative on a screen with y down.

@@ -171,7 +171,6 @@ impl Tile {
 }
 
 /// Depth of the opaque surface behind `key`; infinite where there is none.
-#[expect(clippy::cast_possible_truncation, reason = "the upper half of the key")]
 fn opaque_depth(key: u64) -> f32 {
     if key == NOTHING_OPAQUE { f32::INFINITY } else { f32::from_bits((key >> 32) as u32) }
 }

@@ -94,7 +94,7 @@ pub struct Band<'a, S> {
     fragment_count: &'a mut [u32],
 }
 
-impl<'a, S: Sample> Band<'a, S> {
+impl<S: Sample> Band<'_, S> {
     /// The number of pixels.
     pub fn pixels(&self) -> usize {
         self.first_depth.len()

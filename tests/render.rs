@@ -1,0 +1,170 @@
+//! The pipeline over every technique in the registry: captures, shortcuts, duplicates, cancelling, costs.
+
+mod common;
+
+use common::{capture_with, frame, frames_with, perspective, rectangle, request, samples, scene, soup};
+use oitlab::error::Error;
+use oitlab::fragments::{Background, Fragments, FragmentsInput, Lists};
+use oitlab::frame::Image;
+use oitlab::params::Input;
+use oitlab::render::{Options, Request, Source, render};
+use oitlab::scene::{AlphaMode, Material, Scene};
+use oitlab::techniques::REGISTRY;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+fn all_techniques() -> Vec<Request> {
+    REGISTRY.iter().map(|info| request(info.id, &[])).collect()
+}
+
+/// Some of everything: clipped and whole triangles, an opaque wall, empty regions.
+fn mixed_scene() -> Scene {
+    let opaque = Material { alpha_mode: AlphaMode::Opaque, ..Material::default() };
+    let wall = rectangle([-1.0, 1.0], [-1.0, 1.0], -0.5, [0.25, 0.5, 0.75, 1.0], opaque);
+    let pane = rectangle([-5.0, -3.0], [-2.0, 2.0], 0.0, [0.9, 0.1, 0.1, 0.4], Material::default());
+    scene(vec![wall, soup(60, |i| 4 * i + i % 3), pane], perspective(70.0, 0.5, 12.0), 61, 47)
+}
+
+#[test]
+fn a_capture_gives_the_same_bits_as_its_scene_for_every_technique() {
+    let scene = mixed_scene();
+    let fragments = capture_with(&scene, &Options::default());
+    let requests = all_techniques();
+    let direct = frames_with(Source::Scene(&scene), &requests, &Options::default());
+    let captured = frames_with(Source::Fragments(&fragments), &requests, &Options::default());
+    for (a, b) in direct.iter().zip(&captured) {
+        assert!(a.color == b.color, "{}", a.technique);
+        assert!(a.transmittance == b.transmittance, "{}", a.technique);
+        assert!(a.first_depth == b.first_depth && a.fragment_count == b.fragment_count);
+        assert_eq!(a.stats.fragments, b.stats.fragments);
+    }
+}
+
+#[test]
+fn a_capture_survives_the_round_trip_through_its_arrays() {
+    let fragments = capture_with(&mixed_scene(), &Options::default());
+    let again = Fragments::new(FragmentsInput {
+        width: fragments.width,
+        height: fragments.height,
+        lists: fragments.lists.clone(),
+        background: fragments.background.clone(),
+        near: fragments.view.near,
+        far: fragments.view.far,
+        depth_range: Some(fragments.view.depth_range),
+        primitive_depth: fragments.primitive_depth.clone(),
+    });
+    assert_eq!(again.unwrap().content_hash(), fragments.content_hash());
+}
+
+/// The distance of two samples in units in the last place.
+fn ulps(a: f32, b: f32) -> u32 {
+    a.to_bits().abs_diff(b.to_bits())
+}
+
+/// Compositing one fragment directly avoids a division (architecture section 6).
+const SHORTCUT_ULPS: u32 = 2;
+
+#[test]
+fn shortcuts_change_two_ulps_at_most_for_every_technique() {
+    let scene = mixed_scene();
+    let requests = all_techniques();
+    let quick = frames_with(Source::Scene(&scene), &requests, &Options::default());
+    let plain = Options { skip: false, ..Options::default() };
+    let full = frames_with(Source::Scene(&scene), &requests, &plain);
+    for (a, b) in quick.iter().zip(&full) {
+        let pairs = samples(&a.color).iter().zip(samples(&b.color));
+        let worst = pairs.map(|(x, y)| ulps(*x, *y)).max();
+        assert!(worst <= Some(SHORTCUT_ULPS), "{}: {worst:?}", a.technique);
+    }
+    let skipped = |name| quick[0].stats.skipped.iter().find(|(n, _)| *n == name).unwrap().1;
+    assert!(skipped("empty_pixels") > 0 && skipped("occluded_fragments") > 0);
+    assert!(skipped("single_fragment_pixels") > 0);
+}
+
+#[test]
+fn equal_variants_are_computed_once() {
+    let scene = mixed_scene();
+    // weight_k does not act with mb7, so the first two are one variant
+    let requests = [
+        request("wboit", &[("weight_k", Input::Float(2.0))]),
+        request("wboit", &[]),
+        request("wboit", &[("weight", Input::Text("one".into()))]),
+    ];
+    let frames = frames_with(Source::Scene(&scene), &requests, &Options::default());
+    let duplicates: Vec<_> = frames
+        .iter()
+        .map(|f| f.stats.skipped.iter().find(|(n, _)| *n == "duplicate_variants").unwrap().1)
+        .collect();
+    assert_eq!(duplicates.iter().sum::<u64>(), 1);
+    assert!(frames[0].color == frames[1].color);
+    assert!(frames[0].color != frames[2].color);
+}
+
+#[test]
+fn an_empty_scene_is_its_background_for_every_technique() {
+    let scene = scene(vec![], perspective(60.0, 0.5, 8.0), 5, 3);
+    for frame in frames_with(Source::Scene(&scene), &all_techniques(), &Options::default()) {
+        assert!(samples(&frame.color).as_chunks().0.iter().all(|c| *c == [0.125, 0.25, 0.375]));
+        assert!(samples(&frame.transmittance).iter().all(|t| *t == 1.0));
+        assert!(frame.first_depth.iter().all(|z| *z == f32::INFINITY));
+        assert_eq!(frame.stats.depth_complexity_max, 0);
+    }
+}
+
+#[test]
+fn double_precision_keeps_what_single_rounds() {
+    let scene = mixed_scene();
+    let requests = [request("a_buffer", &[])];
+    let double = render::<f64>(Source::Scene(&scene), &requests, &Options::default(), &|| false).unwrap();
+    let single = frame(Source::Scene(&scene), "over", &[]);
+    let Image::F64(exact) = &double[0].color else { panic!("not double precision") };
+    assert!(exact.iter().zip(samples(&single.color)).all(|(a, b)| *a as f32 == *b));
+    assert!(exact.iter().any(|a| f64::from(*a as f32) != *a));
+    assert_eq!(single.technique, "a_buffer");
+}
+
+#[test]
+fn errors_come_before_any_work() {
+    let scene = mixed_scene();
+    let fault = |requests: &[Request], options| {
+        render::<f32>(Source::Scene(&scene), requests, &options, &|| panic!("work started")).unwrap_err()
+    };
+    let unknown = fault(&[request("nonsense", &[])], Options::default());
+    assert!(matches!(&unknown, Error::UnknownTechnique { known, .. } if known.contains("wboit")));
+    let misspelt = [request("a_buffer", &[]), request("wboit", &[("wieght", Input::Int(1))])];
+    assert!(fault(&misspelt, Options::default()).to_string().contains("\"wieght\""));
+    let no_threads = Options { threads: Some(0), ..Options::default() };
+    assert!(fault(&[], no_threads).to_string().starts_with("threads"));
+}
+
+#[test]
+fn stopping_stops() {
+    let scene = mixed_scene();
+    for after in [0, 1, 5, 20] {
+        let calls = AtomicUsize::new(0);
+        let stop = || calls.fetch_add(1, Ordering::Relaxed) >= after;
+        let result = render::<f32>(Source::Scene(&scene), &all_techniques(), &Options::default(), &stop);
+        assert_eq!(result.unwrap_err(), Error::Cancelled);
+    }
+}
+
+#[test]
+fn costs_are_finite_and_grow_with_what_they_depend_on() {
+    let mut lists = Lists::new();
+    lists.end_row();
+    let input = FragmentsInput {
+        width: 1,
+        height: 1,
+        lists,
+        background: Background::Constant([0.0; 3]),
+        near: 0.1,
+        far: 10.0,
+        depth_range: None,
+        primitive_depth: None,
+    };
+    let fragments = Fragments::new(input).unwrap();
+    for frame in frames_with(Source::Fragments(&fragments), &all_techniques(), &Options::default()) {
+        let stats = &frame.stats;
+        assert!(stats.geometry_passes >= 1.0 && stats.geometry_passes.is_finite(), "{}", frame.technique);
+        assert!(stats.bytes_per_pixel > 0.0 && stats.bytes_per_pixel.is_finite(), "{}", frame.technique);
+    }
+}
