@@ -171,6 +171,16 @@ def test_framing_encloses_the_box_tightly(direction: Any, kind: str, aspect: flo
     assert np.abs(screen(wider, corners, aspect)).max() < 1
 
 
+def test_framing_points_is_tighter_than_framing_their_box() -> None:
+    points = np.array([(0, 0, 0), (1, 2, 0), (0.5, 0.5, -3)])
+    bounds = [points.min(axis=0), points.max(axis=0)]
+    camera = Camera.framing(bounds, points=points, margin=1, aspect=1.5)
+    assert np.abs(screen(camera, points, 1.5)).max() == pytest.approx(1)
+    boxed = Camera.framing(bounds, margin=1, aspect=1.5)
+    assert np.abs(screen(boxed, points, 1.5)).max() < 0.99
+    assert camera.near == pytest.approx(0.98 * camera.depths(points).min())
+
+
 @pytest.mark.parametrize("box", [[(1, 2, 3), (1, 2, 3)], [(0, 0, 0), (0, 0, 9)], [(1e6, 0, 0), (1e6, 0, 0)]])
 def test_framing_copes_with_flat_boxes(box: Any) -> None:
     camera = Camera.framing(box, direction=(0, 0, 1))

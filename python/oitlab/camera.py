@@ -127,6 +127,7 @@ class Camera:
         ortho_height: float | Literal["fit"] | None = None,
         aspect: float = 16 / 9,
         margin: float = 1.05,
+        points: ArrayLike | None = None,
     ) -> Camera:
         """Look at the middle of a box from outside, the box just inside the image and the clip planes.
 
@@ -146,6 +147,8 @@ class Camera:
             Width over height of the image.
         margin : float >= 1
             How much further than needed the eye stands (or how much larger the view is).
+        points : (N, 3) floats, optional
+            What has to be in the image, when it does not fill the box; the box's corners when absent.
 
         Raises
         ------
@@ -167,7 +170,8 @@ class Camera:
         back = _unit(np.array(vec3(direction, "direction")), "direction")
         right, upward = _image_axes(np.array(vec3(up, "up")), back)
         middle = (low + high) / 2
-        x, y, towards = np.stack([right, upward, back]) @ (_corners(low, high) - middle).T
+        shown = _corners(low, high) if points is None else array(points, "points", np.float64, ("N", 3))
+        x, y, towards = np.stack([right, upward, back]) @ (shown - middle).T
         half_height = room * max(np.abs(y).max(), np.abs(x).max() / ratio)
         if ortho_height is None:
             tangent = np.tan(np.radians(fov) / 2)

@@ -24,7 +24,7 @@ class Stats:
     fragments: int
     """Transparent fragments in the image."""
     depth_complexity_mean: float
-    """Fragments per pixel, over the pixels that have any."""
+    """Fragments per pixel, over all pixels of the image."""
     depth_complexity_max: int
     geometry_passes: int | str
     bytes_per_pixel: float | str

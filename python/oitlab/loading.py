@@ -293,4 +293,4 @@ def _framing(meshes: list[Mesh], aspect: float) -> Camera:
         return Camera()
     points = np.concatenate(used)
     bounds = np.stack([points.min(axis=0), points.max(axis=0)])
-    return Camera.framing(bounds, aspect=aspect).tightened(points)
+    return Camera.framing(bounds, aspect=aspect, points=points)
