@@ -48,6 +48,7 @@ pub static INFO: Info = Info {
     build,
 };
 
+#[expect(clippy::unnecessary_wraps, reason = "the signature of every technique's build")]
 fn build(params: &Params, _view: &View) -> Result<Box<dyn AnyTechnique>> {
     let capacity = match (params.text("overflow"), params.size("capacity")) {
         ("grow", _) | (_, 0) => return Ok(Box::new(ABuffer)),

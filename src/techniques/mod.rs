@@ -2,13 +2,31 @@
 
 use crate::error::{Error, Result};
 use crate::order::SUBMISSION_ORDERS;
-use crate::params::{Kind, ParamSpec, Value};
-use crate::technique::Info;
+use crate::params::{Kind, ParamSpec, Value, View, check};
+use crate::technique::{AnyTechnique, Info};
 
 pub mod a_buffer;
+pub mod alpha_compositing;
+pub mod blended_oit;
+pub mod depth_peeling;
+pub mod lwboit;
+pub mod painter;
+pub mod wboit;
+pub mod weighted_average;
+pub mod weighted_sum;
 
 /// Every technique, simplest references first.
-pub static REGISTRY: &[&Info] = &[&a_buffer::INFO];
+pub static REGISTRY: &[&Info] = &[
+    &a_buffer::INFO,
+    &alpha_compositing::INFO,
+    &painter::INFO,
+    &depth_peeling::INFO,
+    &weighted_sum::INFO,
+    &weighted_average::INFO,
+    &blended_oit::INFO,
+    &wboit::INFO,
+    &lwboit::INFO,
+];
 
 /// The technique of that id or alias.
 ///
@@ -42,81 +60,24 @@ impl Info {
     }
 }
 
+impl Info {
+    /// The technique with its default params, on an ordinary view.
+    ///
+    /// # Panics
+    /// If the technique refuses its own defaults, which is a bug that the tests would find.
+    pub fn with_defaults(&self) -> Box<dyn AnyTechnique> {
+        let view = View { near: 0.1, far: 100.0, depth_range: (1.0, 10.0) };
+        let table = self.param_table();
+        let params = check(self.id, &table, &[]).map(|checked| checked.resolve(&table, &view));
+        let technique = params.and_then(|params| (self.build)(&params, &view));
+        technique.unwrap_or_else(|error| panic!("the defaults of {} are refused: {error}", self.id))
+    }
+}
+
 /// The submission orders of a technique that takes any.
 pub const ANY_ORDER: &[&str] = SUBMISSION_ORDERS;
 
 #[cfg(test)]
-pub(crate) mod testing {
-    //! Hand-made pixels for the techniques' unit tests.
-
-    use crate::fragments::{Fragment, Lists};
-    use crate::order::{Reorderer, SubmissionOrder};
-    use crate::params::{Input, View, check};
-    use crate::technique::{Batch, Resolved};
-    use glam::DVec3;
-
-    /// Planes and depth range of the test pixels.
-    pub const VIEW: View = View { near: 0.1, far: 100.0, depth_range: (1.0, 9.0) };
-    /// The colour behind the test pixels.
-    pub const BACKGROUND: [f32; 3] = [0.25, 0.5, 0.75];
-
-    /// A fragment of unmultiplied colour `rgb`.
-    pub fn fragment(depth: f32, rgb: [f32; 3], alpha: f32, primitive: u32) -> Fragment {
-        Fragment { depth, color: rgb.map(|c| c * alpha), alpha, primitive }
-    }
-
-    /// Three layers of different colour and coverage, out of order.
-    pub fn three_layers() -> Vec<Fragment> {
-        vec![
-            fragment(4.0, [0.1, 0.9, 0.2], 0.5, 0),
-            fragment(2.0, [1.0, 0.3, 0.1], 0.25, 1),
-            fragment(8.0, [0.2, 0.1, 1.0], 0.75, 2),
-        ]
-    }
-
-    /// The pixel as technique `id` with `params` resolves it.
-    pub fn resolve(id: &str, params: &[(&str, Input)], fragments: &[Fragment]) -> Resolved {
-        let info = super::find(id).unwrap();
-        let inputs: Vec<_> = params.iter().map(|(n, v)| ((*n).to_owned(), v.clone())).collect();
-        let table = info.param_table();
-        let params = check(info.id, &table, &inputs).unwrap().resolve(&table, &VIEW);
-        let technique = (info.build)(&params, &VIEW).unwrap();
-        let (mut lists, mut sorted) = (Lists::new(), Lists::new());
-        fragments.iter().for_each(|f| lists.push(*f));
-        lists.end_row();
-        Reorderer::default().reorder(lists.as_ref(), SubmissionOrder::Sorted, None, &mut sorted);
-        let batch = Batch {
-            x: 0,
-            y: 0,
-            width: 1,
-            lists: lists.as_ref(),
-            sorted: Some(sorted.as_ref()),
-            background: &[BACKGROUND],
-        };
-        let mut out = [Resolved::default()];
-        technique.resolve_batch(&batch, &[0], &mut out, &|| false);
-        out[0]
-    }
-
-    /// Sorted OVER by its definition (sheet 0.1), for comparison.
-    pub fn over(fragments: &[Fragment]) -> (DVec3, f64) {
-        let mut sorted = fragments.to_vec();
-        sorted.sort_by(|a, b| a.depth.total_cmp(&b.depth).then(a.primitive.cmp(&b.primitive)));
-        let (mut color, mut transmittance) = (DVec3::ZERO, 1.0);
-        for f in sorted {
-            color += transmittance * DVec3::from(f.color.map(f64::from));
-            transmittance *= 1.0 - f64::from(f.alpha);
-        }
-        (color + transmittance * DVec3::from(BACKGROUND.map(f64::from)), transmittance)
-    }
-
-    /// Asserts that every channel of colour and transmittance agrees within `tolerance`.
-    #[track_caller]
-    pub fn assert_close(got: Resolved, color: DVec3, transmittance: f64, tolerance: f64) {
-        let far = (got.color - color)
-            .abs()
-            .max_element()
-            .max((got.transmittance - DVec3::splat(transmittance)).abs().max_element());
-        assert!(far <= tolerance, "{got:?} is {far:e} away from {color:?}, {transmittance}");
-    }
-}
+mod identities;
+#[cfg(test)]
+pub(crate) mod testing;

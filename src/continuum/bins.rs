@@ -1,0 +1,140 @@
+//! Depth bins, each a blended layer of its own.
+
+use super::sums::BlendSums;
+use glam::DVec3;
+
+/// Bins that one pass of layered rendering fills (FEE21 §4: 32 geometry shader instances).
+pub const BATCH: usize = 32;
+
+/// How a fragment fades with its distance from the centre of a bin.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum BinFunction {
+    /// `2^-(2x)²`: 1 at the centre, 1/2 at the edge (FEE21 §3.2, sheet R1).
+    Bell,
+    /// `max(0, 1 − |x|)`.
+    Tent,
+}
+
+/// A smooth fragment reaches this many bins beyond its own; the bell is below 1e-7 there.
+pub const REACH: usize = 2;
+/// The number of bins in reach.
+pub const SUPPORT: usize = 2 * REACH + 1;
+
+impl BinFunction {
+    /// The function at the bins `own − REACH ..= own + REACH`, for a fragment `x` bin widths behind the
+    /// centre of its own, `|x| <= 1/2`.
+    #[expect(clippy::cast_possible_truncation, reason = "weights are evaluated in f32")]
+    pub fn shares(self, x: f64) -> [f32; SUPPORT] {
+        let x = x as f32;
+        match self {
+            Self::Bell => {
+                // 2^-4(x−j)² = 2^-4x² 2^8xj 2^-4j²: two exponentials for all five bins
+                let (own, step) = ((-4.0 * x * x).exp2(), (8.0 * x).exp2());
+                let (one, two) = (own * 0.0625, own * 2.0_f32.powi(-16));
+                [two / (step * step), one / step, own, one * step, two * step * step]
+            }
+            Self::Tent => [0.0, (-x).max(0.0), 1.0 - x.abs(), x.max(0.0), 0.0],
+        }
+    }
+}
+
+/// The bins of one pixel. Only those that a fragment touched cost anything, however many there are.
+#[derive(Debug, Default)]
+pub struct Bins {
+    sums: Vec<BlendSums>,
+    /// One bit per bin that holds something, one word per batch.
+    touched: Vec<u32>,
+}
+
+/// Bins composited front to back.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Layers {
+    /// Premultiplied colour.
+    pub color: DVec3,
+    /// How much of the background `color` covers: the denominator of FEE21 eq. 4, summed as it telescopes.
+    pub coverage: f64,
+    /// The background's share, the product of all bins'.
+    pub transmittance: f64,
+}
+
+impl Bins {
+    /// Makes room for `count` empty bins.
+    pub fn reset(&mut self, count: usize) {
+        self.sums.resize(count, BlendSums::CLEAR);
+        self.touched.resize(count.div_ceil(BATCH), 0);
+    }
+
+    /// Bin `k`, to be blended into.
+    pub fn touch(&mut self, k: usize) -> &mut BlendSums {
+        self.touched[k / BATCH] |= 1 << (k % BATCH);
+        &mut self.sums[k]
+    }
+
+    /// Composites the bins front to back, batch by batch (FEE21 eq. 4), and empties them.
+    pub fn under_blend(&mut self) -> Layers {
+        let mut layers = Layers { color: DVec3::ZERO, coverage: 0.0, transmittance: 1.0 };
+        for (batch, touched) in self.touched.iter_mut().enumerate() {
+            while *touched != 0 {
+                let bin = &mut self.sums[batch * BATCH + touched.trailing_zeros() as usize];
+                layers.put_behind(bin);
+                *bin = BlendSums::CLEAR;
+                *touched &= *touched - 1;
+            }
+        }
+        layers
+    }
+}
+
+impl Layers {
+    fn put_behind(&mut self, bin: &BlendSums) {
+        if let Some(average) = bin.average() {
+            let share = self.transmittance * bin.coverage();
+            self.color += share * average;
+            self.coverage += share;
+        }
+        self.transmittance *= bin.transmittance();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bin_functions_are_the_papers() {
+        for i in -8..=8_i8 {
+            let x = f64::from(i) / 16.0;
+            for (j, (bell, tent)) in
+                (-2..).zip(BinFunction::Bell.shares(x).into_iter().zip(BinFunction::Tent.shares(x)))
+            {
+                let distance = x - f64::from(j);
+                let exact = (-4.0 * distance * distance).exp2();
+                assert!((f64::from(bell) / exact - 1.0).abs() < 1e-6, "{x} {j}: {bell} for {exact}");
+                assert_eq!(f64::from(tent), (1.0 - distance.abs()).max(0.0));
+            }
+        }
+    }
+
+    /// Sheet R2: bells sum to 1.0039 at a bin's edge and 1.125 at its centre, tents to 1.
+    #[test]
+    fn bells_are_no_partition_of_unity() {
+        let sum = |f: BinFunction, x| f.shares(x).iter().map(|b| f64::from(*b)).sum::<f64>();
+        assert!((sum(BinFunction::Bell, 0.5) - 1.0039).abs() < 1e-4);
+        assert!((sum(BinFunction::Bell, 0.0) - 1.1250).abs() < 1e-4);
+        assert_eq!(sum(BinFunction::Tent, 0.3125), 1.0);
+    }
+
+    #[test]
+    fn bins_composite_front_to_back_and_are_empty_afterwards() {
+        let mut bins = Bins::default();
+        for _ in 0..2 {
+            bins.reset(512);
+            bins.touch(511).add(1.0, [0.5, 0.0, 0.0], 0.5);
+            bins.touch(3).add(2.0, [0.0, 0.25, 0.0], 0.25);
+            bins.touch(32).add(1.0, [0.0, 0.0, 7.0], 0.0);
+            let layers = bins.under_blend();
+            assert_eq!(layers.color, DVec3::new(0.375, 0.25, 0.0));
+            assert_eq!((layers.coverage, layers.transmittance), (0.625, 0.375));
+        }
+    }
+}

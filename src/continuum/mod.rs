@@ -1,0 +1,6 @@
+//! The building blocks that techniques share: each choice of the continuum (Wyman 2016, Table 1) once.
+
+pub mod absorbance;
+pub mod bins;
+pub mod range;
+pub mod sums;

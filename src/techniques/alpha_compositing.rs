@@ -1,0 +1,101 @@
+//! Alpha compositing (Porter & Duff 1984): the blend unit's `over`, in submission order.
+
+use crate::error::Result;
+use crate::params::{Params, View};
+use crate::technique::{
+    AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties, Resolved, Technique,
+};
+use crate::techniques::ANY_ORDER;
+use glam::{DVec3, Vec3};
+
+/// The registry entry.
+pub static INFO: Info = Info {
+    id: "alpha_compositing",
+    aliases: &[],
+    name: "Alpha compositing",
+    citation: &["Porter1984"],
+    doc: "Blends each fragment over what is already there, in submission order: right where that order is \
+          back to front, and what an engine gets when it does not sort.",
+    axes: Axes {
+        memory: "1 layer",
+        insertion: "always",
+        merge: "over operator",
+        normalize: "no",
+        opacity: "alpha",
+    },
+    params: &[],
+    submission_orders: ANY_ORDER,
+    random: false,
+    geometry_passes: "1",
+    bytes_per_pixel: "8",
+    build,
+};
+
+#[expect(clippy::unnecessary_wraps, reason = "the signature of every technique's build")]
+fn build(params: &Params, _view: &View) -> Result<Box<dyn AnyTechnique>> {
+    let properties = match params.text("submission_order") {
+        "back_to_front" => Properties::EXACT,
+        _ => EXACT_COVERAGE,
+    };
+    Ok(Box::new(AlphaCompositing { properties }))
+}
+
+/// What holds in any order: the factors of Π (1 − a) commute, and so do layers of one colour.
+pub(super) const EXACT_COVERAGE: Properties =
+    Properties { exact_for_one: true, exact_for_one_color: true, exact_coverage: true, ..Properties::NONE };
+
+/// `dst ← C + (1 − a) dst`.
+pub(super) struct AlphaCompositing {
+    /// They follow from the submission order.
+    pub properties: Properties,
+}
+
+impl Technique for AlphaCompositing {
+    type Scratch = ();
+
+    fn resolve(&self, pixel: &Pixel<'_>, (): &mut ()) -> Resolved {
+        let (mut target, mut transmittance) = (Vec3::ZERO, 1.0);
+        for (c, &alpha) in pixel.list.color.iter().zip(pixel.list.alpha) {
+            target = (Vec3::from(*c) + (1.0 - alpha) * target).min(Vec3::MAX);
+            transmittance *= 1.0 - f64::from(alpha);
+        }
+        let color: DVec3 = target.as_dvec3() + transmittance * pixel.background;
+        Resolved::new(color, transmittance)
+    }
+
+    fn cost(&self, _complexity: &DepthComplexity) -> Cost {
+        Cost { geometry_passes: 1.0, bytes_per_pixel: 8.0 }
+    }
+
+    fn properties(&self) -> Properties {
+        self.properties
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::params::Input;
+    use crate::techniques::testing::{F32_STATE, assert_close, over, resolve, three_layers};
+    use glam::DVec3;
+
+    #[test]
+    fn three_layers_by_hand() {
+        // submitted at depths 4, 2, 8: the last one lies on top
+        let expected = DVec3::new(0.75 * 0.2, 0.75 * 0.1, 0.75)
+            + 0.25 * DVec3::new(0.25, 0.075, 0.025)
+            + 0.187_5 * DVec3::new(0.05, 0.45, 0.1)
+            + 0.093_75 * DVec3::new(0.25, 0.5, 0.75);
+        assert_close(resolve("alpha_compositing", &[], &three_layers()), expected, 0.093_75, F32_STATE);
+    }
+
+    #[test]
+    fn equals_over_back_to_front_and_the_worst_case_front_to_back() {
+        let fragments = three_layers();
+        let (color, transmittance) = over(&fragments);
+        let order = |name: &str| [("submission_order", Input::Text(name.into()))];
+        let sorted = resolve("alpha_compositing", &order("back_to_front"), &fragments);
+        assert_close(sorted, color, transmittance, F32_STATE);
+        let worst = resolve("alpha_compositing", &order("sorted"), &fragments);
+        assert!((worst.color - color).abs().max_element() > 0.3, "{worst:?}");
+    }
+}

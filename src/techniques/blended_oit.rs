@@ -1,0 +1,100 @@
+//! Blended OIT (`McGuire` & Bavoil 2013, eq. 5): the average colour at the exact coverage.
+
+use crate::continuum::sums::BlendSums;
+use crate::error::Result;
+use crate::params::{Params, View};
+use crate::technique::{
+    AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties, Resolved, Technique,
+};
+use crate::techniques::ANY_ORDER;
+
+/// The registry entry.
+pub static INFO: Info = Info {
+    id: "blended_oit",
+    aliases: &[],
+    name: "Blended OIT",
+    citation: &["McGuire2013"],
+    doc: "The alpha-weighted average colour covers the background exactly as much as all fragments together \
+          do (MB13 eq. 5); which of them is in front makes no difference.",
+    axes: Axes {
+        memory: "constant func",
+        insertion: "never",
+        merge: "discard all",
+        normalize: "α-weighted average",
+        opacity: "alpha",
+    },
+    params: &[],
+    submission_orders: ANY_ORDER,
+    random: false,
+    geometry_passes: "1",
+    bytes_per_pixel: "10 (sums and R)",
+    build,
+};
+
+#[expect(clippy::unnecessary_wraps, reason = "the signature of every technique's build")]
+fn build(_params: &Params, _view: &View) -> Result<Box<dyn AnyTechnique>> {
+    Ok(Box::new(BlendedOit))
+}
+
+struct BlendedOit;
+
+impl Technique for BlendedOit {
+    type Scratch = ();
+
+    fn resolve(&self, pixel: &Pixel<'_>, (): &mut ()) -> Resolved {
+        let mut sums = BlendSums::CLEAR;
+        for (&color, &alpha) in pixel.list.color.iter().zip(pixel.list.alpha) {
+            sums.add(1.0, color, alpha);
+        }
+        sums.over(pixel.background)
+    }
+
+    fn cost(&self, _complexity: &DepthComplexity) -> Cost {
+        Cost { geometry_passes: 1.0, bytes_per_pixel: 10.0 }
+    }
+
+    fn properties(&self) -> Properties {
+        BLENDED
+    }
+}
+
+/// What every average at exact coverage promises.
+pub(super) const BLENDED: Properties = Properties {
+    order_independent: true,
+    exact_for_one: true,
+    exact_for_one_color: true,
+    exact_coverage: true,
+    ..Properties::NONE
+};
+
+#[cfg(test)]
+mod tests {
+    use crate::techniques::testing::{
+        BACKGROUND, F32_STATE, assert_close, fragment, over, resolve, three_layers,
+    };
+    use glam::{DVec3, Vec3};
+
+    #[test]
+    fn layers_by_hand() {
+        let background = Vec3::from(BACKGROUND).as_dvec3();
+        let two = 0.625 / 0.75 * DVec3::new(0.3, 0.525, 0.125) + 0.375 * background;
+        assert_close(resolve("blended_oit", &[], &three_layers()[..2]), two, 0.375, F32_STATE);
+        let three = 0.906_25 / 1.5 * DVec3::new(0.45, 0.6, 0.875) + 0.093_75 * background;
+        assert_close(resolve("blended_oit", &[], &three_layers()), three, 0.093_75, F32_STATE);
+    }
+
+    #[test]
+    fn a_faint_fragment_keeps_its_color() {
+        let lone = [fragment(1.0, [6e4, 1.0, 0.0], 1e-30, 0)];
+        let (color, transmittance) = over(&lone);
+        assert_close(resolve("blended_oit", &[], &lone), color, transmittance, 1e-15);
+    }
+
+    #[test]
+    fn emission_without_coverage_is_lost() {
+        let mut lone = fragment(1.0, [1.0; 3], 0.0, 0);
+        lone.color = [1.0; 3];
+        let background = Vec3::from(BACKGROUND).as_dvec3();
+        assert_close(resolve("blended_oit", &[], &[lone]), background, 1.0, 0.0);
+    }
+}

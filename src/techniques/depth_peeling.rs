@@ -1,0 +1,167 @@
+//! Depth peeling (Mammen 1989; Everitt 2001): one layer per geometry pass, nearest first.
+
+use crate::error::Result;
+use crate::params::{Kind, ParamSpec, Params, Value, View};
+use crate::technique::{
+    AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties, Resolved, Technique,
+};
+use crate::techniques::ANY_ORDER;
+use glam::{DVec3, Vec3};
+
+/// The registry entry.
+pub static INFO: Info = Info {
+    id: "depth_peeling",
+    aliases: &[],
+    name: "Depth peeling",
+    citation: &["Everitt2001", "Mammen1989"],
+    doc: "Draws the geometry once per layer; each pass keeps the nearest fragment behind the previous pass's \
+          and puts it under what is there. Exact with as many passes as layers; layers beyond the last pass \
+          are missing, and the background shows in their place.",
+    axes: Axes {
+        memory: "1 layer",
+        insertion: "if closest",
+        merge: "discard furthest",
+        normalize: "no",
+        opacity: "either",
+    },
+    params: &[
+        ParamSpec::new(
+            "passes",
+            Kind::at_least(0),
+            Value::Int(0),
+            "peeling passes; 0 goes on until a pass writes nothing",
+        ),
+        ParamSpec::new(
+            "early_out",
+            Kind::Bool,
+            Value::Bool(false),
+            "stop a pixel when less than 1/1024 of the light behind it gets through",
+        ),
+    ],
+    submission_orders: ANY_ORDER,
+    random: false,
+    geometry_passes: "passes, at most the largest depth complexity + 1 (the pass that writes nothing)",
+    bytes_per_pixel: "16 (two depths and a colour)",
+    build,
+};
+
+/// Below this transmittance `early_out` stops peeling.
+const HARDLY_VISIBLE: f64 = 1.0 / 1024.0;
+
+#[expect(clippy::unnecessary_wraps, reason = "the signature of every technique's build")]
+fn build(params: &Params, _view: &View) -> Result<Box<dyn AnyTechnique>> {
+    let passes = match params.size("passes") {
+        0 => usize::MAX,
+        passes => passes,
+    };
+    let enough = if params.bool("early_out") { HARDLY_VISIBLE } else { 0.0 };
+    Ok(Box::new(DepthPeeling { passes, enough }))
+}
+
+/// Peeling in (depth, primitive) order, so that coincident fragments are peeled one by one.
+struct DepthPeeling {
+    passes: usize,
+    /// Peeling stops once transmittance falls below this.
+    enough: f64,
+}
+
+impl Technique for DepthPeeling {
+    type Scratch = ();
+    const NEEDS_SORTED: bool = true;
+
+    /// Pass p finds the smallest (depth, primitive) above pass p − 1's, which is the sorted list's entry p.
+    fn resolve(&self, pixel: &Pixel<'_>, (): &mut ()) -> Resolved {
+        let layers = pixel.sorted.color.iter().zip(pixel.sorted.alpha);
+        let (mut color, mut transmittance) = (DVec3::ZERO, 1.0);
+        for (c, &alpha) in layers.take(self.passes) {
+            if transmittance < self.enough {
+                break;
+            }
+            color += transmittance * Vec3::from(*c).as_dvec3();
+            transmittance *= 1.0 - f64::from(alpha);
+        }
+        Resolved::new(color + transmittance * pixel.background, transmittance)
+    }
+
+    #[expect(clippy::cast_precision_loss, reason = "a cost estimate")]
+    fn cost(&self, complexity: &DepthComplexity) -> Cost {
+        Cost { geometry_passes: self.passes.min(complexity.max + 1) as f64, bytes_per_pixel: 16.0 }
+    }
+
+    fn properties(&self) -> Properties {
+        if self.passes == usize::MAX && self.enough == 0.0 {
+            return Properties::EXACT;
+        }
+        Properties {
+            order_independent: true,
+            consistent: self.enough == 0.0,
+            exact_for_one: true,
+            ..Properties::NONE
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::params::Input;
+    use crate::technique::DepthComplexity;
+    use crate::techniques::testing::{
+        assert_close, build, fragment, over, random_pixel, resolve, three_layers,
+    };
+
+    #[test]
+    fn enough_passes_equal_over() {
+        for n in 1..=64 {
+            let pixel = random_pixel(n, n.into());
+            let (color, transmittance) = over(&pixel);
+            for passes in [0, i64::from(n), 1000] {
+                let peeled = resolve("depth_peeling", &[("passes", Input::Int(passes))], &pixel);
+                assert_close(peeled, color, transmittance, 1e-15);
+            }
+        }
+    }
+
+    #[test]
+    fn truncation_shows_background_in_place_of_the_layers_behind() {
+        let peeled = resolve("depth_peeling", &[("passes", Input::Int(2))], &three_layers());
+        let nearest = [three_layers()[1], three_layers()[0]];
+        let (color, transmittance) = over(&nearest);
+        assert_close(peeled, color, transmittance, 1e-15);
+    }
+
+    #[test]
+    fn coincident_fragments_are_all_peeled() {
+        let layer = |primitive| fragment(2.0, [0.5, 0.25, 1.0], 0.5, primitive);
+        for pixel in [vec![layer(2), layer(1), layer(0)], vec![layer(3); 3]] {
+            let peeled = resolve("depth_peeling", &[], &pixel);
+            let (color, transmittance) = over(&pixel);
+            assert_close(peeled, color, transmittance, 1e-15);
+        }
+    }
+
+    #[test]
+    fn early_out_leaves_less_than_a_thousandth() {
+        let pixel: Vec<_> = (0..20).map(|i| fragment(1.0, [1.0; 3], 0.5, i)).collect();
+        let peeled = resolve("depth_peeling", &[("early_out", Input::Bool(true))], &pixel);
+        assert_eq!(peeled.transmittance.x, 0.5_f64.powi(11));
+        assert_close(peeled, over(&pixel).0, 0.0, 1.0 / 1024.0);
+    }
+
+    #[test]
+    fn ten_thousand_layers() {
+        let pixel: Vec<_> = (0..10_000_u16)
+            .map(|i| fragment(f32::from(i % 5000), [1.0, 0.5, 0.25], 1e-4, u32::from(i)))
+            .collect();
+        let (color, transmittance) = over(&pixel);
+        assert_close(resolve("depth_peeling", &[], &pixel), color, transmittance, 1e-15);
+    }
+
+    #[test]
+    fn the_geometry_is_drawn_once_per_layer_and_once_to_find_none_left() {
+        let complexity = DepthComplexity { mean: 2.0, max: 7 };
+        let passes = |n| {
+            build("depth_peeling", &[("passes", Input::Int(n))]).unwrap().cost(&complexity).geometry_passes
+        };
+        assert_eq!([passes(0), passes(3), passes(100)], [8.0, 3.0, 8.0]);
+    }
+}

@@ -1,0 +1,355 @@
+//! Layered weighted blended OIT (Friederichs, Eisemann & Eisemann 2021, FEE21): weighted blending within
+//! depth bins, `over` between them.
+
+use crate::continuum::absorbance::{S_MAX, absorbance};
+use crate::continuum::bins::{BATCH, BinFunction, Bins, Layers, REACH, SUPPORT};
+use crate::continuum::range::DepthRange;
+use crate::continuum::sums::{BlendSums, blend};
+use crate::error::Result;
+use crate::fragments::List;
+use crate::params::{Kind, ParamSpec, Params, Value, View};
+use crate::technique::{
+    AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties, Resolved, Technique,
+};
+use crate::techniques::ANY_ORDER;
+use crate::weight::{self, Weighting};
+use glam::DVec3;
+
+/// The registry entry.
+pub static INFO: Info = Info {
+    id: "lwboit",
+    aliases: &[],
+    name: "Layered weighted blended OIT",
+    citation: &["Friederichs2021"],
+    doc: "Depth is divided into bins; fragments of a bin blend by weight, bins composite front to back. \
+          smooth fades fragments over neighbouring bins, normalize restores the exact coverage, shape lets \
+          the bins start at each pixel's first surface. partition=\"absorbance\" splits a fragment so that its \
+          parts together cover as much as it does: as bins narrow, the image tends to the exact one.",
+    axes: Axes {
+        memory: "k bins",
+        insertion: "always",
+        merge: "α-weighted average",
+        normalize: "renormalize alpha",
+        opacity: "alpha",
+    },
+    params: &[
+        ParamSpec::new("bins", Kind::Int { min: 1, max: 512 }, Value::Int(32), "depth bins"),
+        ParamSpec::new(
+            "smooth",
+            Kind::Bool,
+            Value::Bool(true),
+            "fade fragments over neighbouring bins (FEE21 section 3.2)",
+        ),
+        ParamSpec::new(
+            "normalize",
+            Kind::Bool,
+            Value::Bool(true),
+            "scale the colour to the exact coverage of all fragments (FEE21 section 3.3)",
+        ),
+        ParamSpec::new(
+            "shape",
+            Kind::Bool,
+            Value::Bool(true),
+            "measure bins and weights from each pixel's first surface (FEE21 section 3.4)",
+        ),
+        ParamSpec::new(
+            "bin_function",
+            Kind::Choice(&["bell", "tent"]),
+            Value::Text("bell"),
+            "how a fragment fades with its distance from a bin's centre",
+        )
+        .when(|p| p.bool("smooth")),
+        ParamSpec::new(
+            "partition",
+            Kind::Choice(&["none", "absorbance"]),
+            Value::Text("none"),
+            "what smooth bins share: none fades the coverage, as published; absorbance divides the absorbance \
+             in shares that sum to 1",
+        )
+        .when(|p| p.bool("smooth")),
+        ParamSpec::new(
+            "shape_anchor",
+            Kind::Choice(&["center", "edge"]),
+            Value::Text("center"),
+            "where in the first bin the first surface lies",
+        )
+        .when(|p| p.bool("shape")),
+        ParamSpec::new(
+            "storage",
+            Kind::Choice(&["lr", "ll"]),
+            Value::Text("lr"),
+            "layered rendering into all bins, 32 per pass, or linked lists binned in the resolve",
+        ),
+        ParamSpec::new(
+            "capacity",
+            Kind::at_least(0),
+            Value::Int(0),
+            "fragments kept per pixel in submission order, the others dropped and counted; 0 is unlimited",
+        )
+        .when(|p| p.text("storage") == "ll"),
+        weight::WEIGHT,
+        weight::WEIGHT_K,
+        weight::WEIGHT_SCALE,
+        weight::WEIGHT_SHIFT,
+        weight::NEAR,
+        weight::FAR,
+        DepthRange::param("scene"),
+        S_MAX.when(|p| p.bool("smooth") && p.text("partition") == "absorbance"),
+    ],
+    submission_orders: ANY_ORDER,
+    random: false,
+    geometry_passes: "lr: ceil(bins / 32), 1 more to normalize, 1 more for shape or range=\"pixel\"; ll: 1",
+    bytes_per_pixel: "lr: 10 bins, 2 more to normalize, 4 more for shape or range=\"pixel\"; ll: 16 n + 4 \
+                      (n = mean depth complexity)",
+    build,
+};
+
+fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
+    let function = match params.text("bin_function") {
+        "tent" => BinFunction::Tent,
+        _ => BinFunction::Bell,
+    };
+    let sharing = match (params.bool("smooth"), params.text("partition")) {
+        (false, _) => Sharing::Naive,
+        (true, "absorbance") => Sharing::Absorbance(function, params.float("s_max")),
+        (true, _) => Sharing::Coverage(function),
+    };
+    let shape = params.bool("shape").then(|| match params.text("shape_anchor") {
+        "edge" => 0.0,
+        _ => 0.5,
+    });
+    let storage = match (params.text("storage"), params.size("capacity")) {
+        ("lr", _) => Storage::Bins,
+        (_, 0) => Storage::Lists { capacity: usize::MAX },
+        (_, capacity) => Storage::Lists { capacity },
+    };
+    let range = DepthRange::from_params(params, view);
+    Ok(Box::new(LayeredWboit {
+        bins: params.size("bins"),
+        sharing,
+        normalize: params.bool("normalize"),
+        shape,
+        storage,
+        weighting: Weighting::from_params(params)?,
+        range,
+        range_covers_scene: range.covers(view),
+    }))
+}
+
+/// What of a fragment goes to which bins.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Sharing {
+    /// All of it to its own bin.
+    Naive,
+    /// Each bin gets the fragment with its alpha faded (FEE21 §3.2).
+    Coverage(BinFunction),
+    /// Each bin gets a share of the fragment's absorbance, at most the given one; shares sum to 1.
+    Absorbance(BinFunction, f64),
+}
+
+/// Where fragments are kept until the resolve (FEE21 §4).
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Storage {
+    /// Layered rendering: nowhere, they are blended into the bins.
+    Bins,
+    /// Linked lists with room for `capacity` fragments per pixel.
+    Lists { capacity: usize },
+}
+
+struct LayeredWboit {
+    bins: usize,
+    sharing: Sharing,
+    normalize: bool,
+    /// Where in bin 1 the first surface lies, in bin widths; `None` does not shape.
+    shape: Option<f64>,
+    storage: Storage,
+    weighting: Weighting,
+    range: DepthRange,
+    range_covers_scene: bool,
+}
+
+/// One pixel's working memory.
+#[derive(Debug, Default)]
+struct Scratch {
+    bins: Bins,
+    shaped_depth: Vec<f32>,
+    weights: Vec<f32>,
+}
+
+/// A pixel's bins. A fragment's z' counts from the near edge of the first one.
+#[derive(Debug, Clone, Copy)]
+struct Slicing {
+    /// The depth that z' is measured from.
+    origin: f64,
+    /// z' at the origin.
+    offset: f64,
+    /// Width of a bin.
+    width: f64,
+}
+
+impl Slicing {
+    /// z' of a depth, before clamping. In f64, so that depths fall on the side of a bin's edge that they
+    /// should, wherever the camera stands.
+    fn shifted(&self, depth: f32) -> f64 {
+        f64::from(depth) - self.origin + self.offset
+    }
+}
+
+impl LayeredWboit {
+    fn slicing(&self, list: List<'_>) -> Slicing {
+        let (lo, hi) = self.range.bounds(list);
+        #[expect(clippy::cast_precision_loss, reason = "at most 512")]
+        let width = Some((hi - lo) / self.bins as f64).filter(|width| *width > 0.0).unwrap_or(1.0);
+        match (self.shape, list.depth_bounds()) {
+            (Some(anchor), Some((first, _))) => {
+                Slicing { origin: first.into(), offset: anchor * width, width }
+            }
+            _ => Slicing { origin: lo, offset: 0.0, width },
+        }
+    }
+
+    /// The weights w(z) or, shaped, w(z'): then moving the scene along z changes nothing.
+    fn weigh(&self, list: List<'_>, slicing: Slicing, depth: &mut Vec<f32>, weights: &mut Vec<f32>) {
+        if self.shape.is_none() {
+            return self.weighting.evaluate(list.depth, list.alpha, weights);
+        }
+        depth.clear();
+        #[expect(clippy::cast_possible_truncation, reason = "weights are evaluated in f32")]
+        depth.extend(list.depth.iter().map(|&z| slicing.shifted(z) as f32));
+        self.weighting.evaluate(depth, list.alpha, weights);
+    }
+
+    /// Blends a fragment into its bins; `position` is its depth in bin widths.
+    #[expect(clippy::cast_possible_truncation, reason = "shares are blended in f32")]
+    fn deposit(&self, bins: &mut Bins, position: f64, weight: f32, color: [f32; 3], alpha: f32) {
+        let (own, x) = self.locate(position);
+        match self.sharing {
+            Sharing::Naive => bins.touch(own).add(weight, color, alpha),
+            Sharing::Coverage(function) => {
+                for (k, b) in self.reach(own, function.shares(x)) {
+                    let coverage = f64::from(alpha) * f64::from(b);
+                    bins.touch(k).add_share(b * weight, color, alpha, coverage, 1.0 - coverage);
+                }
+            }
+            Sharing::Absorbance(function, s_max) => {
+                let shares = function.shares(x);
+                let total: f64 = self.reach(own, shares).map(|(_, b)| f64::from(b)).sum();
+                let s = absorbance(alpha, s_max);
+                for (k, b) in self.reach(own, shares) {
+                    let beta = f64::from(b) / total;
+                    let absorbed = (-beta * s).exp_m1();
+                    let part = if alpha > 0.0 { -absorbed / f64::from(alpha) } else { beta };
+                    bins.touch(k).add_share(part as f32 * weight, color, alpha, -absorbed, 1.0 + absorbed);
+                }
+            }
+        }
+    }
+
+    /// The bin of a position, and the distance behind its centre in bin widths. Positions outside the range
+    /// belong to the end bins.
+    #[expect(
+        clippy::cast_precision_loss,
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        reason = "0 <= position <= 512"
+    )]
+    fn locate(&self, position: f64) -> (usize, f64) {
+        let position = position.clamp(0.0, self.bins as f64);
+        let own = (position as usize).min(self.bins - 1);
+        (own, position - own as f64 - 0.5)
+    }
+
+    /// The bins in reach of bin `own` that exist and get a share.
+    fn reach(&self, own: usize, shares: [f32; SUPPORT]) -> impl Iterator<Item = (usize, f32)> {
+        let bins = self.bins;
+        let in_reach = shares.into_iter().enumerate().map(move |(j, b)| (own + j, b));
+        in_reach
+            .filter(move |&(k, b)| b > 0.0 && (REACH..bins + REACH).contains(&k))
+            .map(|(k, b)| (k - REACH, b))
+    }
+
+    /// FEE21 eq. 4, with `normalize` at the coverage of all fragments together (§3.3).
+    fn composite(&self, layers: &Layers, list: List<'_>, background: DVec3) -> Resolved {
+        if !self.normalize {
+            return blend(layers.color, 1.0, layers.transmittance, background);
+        }
+        if layers.coverage == 0.0 {
+            return Resolved::background(background);
+        }
+        let mut net = BlendSums::CLEAR;
+        for (&color, &alpha) in list.color.iter().zip(list.alpha) {
+            net.add(1.0, color, alpha);
+        }
+        net.cover(layers.color / layers.coverage, background)
+    }
+
+    /// The fragments that the storage has room for.
+    fn kept<'a>(&self, list: List<'a>) -> List<'a> {
+        let Storage::Lists { capacity } = self.storage else { return list };
+        let n = capacity.min(list.len());
+        List {
+            depth: &list.depth[..n],
+            color: &list.color[..n],
+            alpha: &list.alpha[..n],
+            primitive: &list.primitive[..n],
+        }
+    }
+
+    /// Whether a pass that finds each pixel's depths comes first.
+    fn needs_depth_pass(&self) -> bool {
+        self.shape.is_some() || self.range == DepthRange::Pixel
+    }
+
+    fn loses_fragments(&self) -> bool {
+        matches!(self.storage, Storage::Lists { capacity } if capacity < usize::MAX)
+    }
+}
+
+impl Technique for LayeredWboit {
+    type Scratch = Scratch;
+
+    fn resolve(&self, pixel: &Pixel<'_>, scratch: &mut Scratch) -> Resolved {
+        let list = self.kept(pixel.list);
+        let Scratch { bins, shaped_depth, weights } = scratch;
+        let slicing = self.slicing(list);
+        self.weigh(list, slicing, shaped_depth, weights);
+        bins.reset(self.bins);
+        for (i, &weight) in weights.iter().enumerate() {
+            let position = slicing.shifted(list.depth[i]) / slicing.width;
+            self.deposit(bins, position, weight, list.color[i], list.alpha[i]);
+        }
+        Resolved {
+            dropped: (pixel.list.len() - list.len()) as u64,
+            ..self.composite(&bins.under_blend(), list, pixel.background)
+        }
+    }
+
+    #[expect(clippy::cast_precision_loss, reason = "a cost estimate")]
+    fn cost(&self, complexity: &DepthComplexity) -> Cost {
+        if let Storage::Lists { capacity } = self.storage {
+            let nodes = complexity.mean.min(capacity as f64);
+            return Cost { geometry_passes: 1.0, bytes_per_pixel: 16.0 * nodes + 4.0 };
+        }
+        let (net, depth) = (u8::from(self.normalize), u8::from(self.needs_depth_pass()));
+        Cost {
+            geometry_passes: self.bins.div_ceil(BATCH) as f64 + f64::from(net + depth),
+            bytes_per_pixel: 10.0 * self.bins as f64 + f64::from(2 * net + 4 * depth),
+        }
+    }
+
+    fn properties(&self) -> Properties {
+        let whole = !self.loses_fragments();
+        let exact = self.normalize || self.sharing == Sharing::Naive;
+        Properties {
+            order_independent: whole,
+            unbiased: false,
+            consistent: whole && self.range_covers_scene && !matches!(self.sharing, Sharing::Coverage(_)),
+            exact_for_one: exact,
+            exact_for_one_color: exact && whole,
+            exact_coverage: exact && whole,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,113 @@
+//! Weighted average (Bavoil & Myers 2008): every fragment becomes the mean fragment.
+
+use crate::continuum::sums::{BlendSums, blend};
+use crate::error::Result;
+use crate::params::{Params, View};
+use crate::technique::{
+    AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties, Resolved, Technique,
+};
+use crate::techniques::ANY_ORDER;
+
+/// The registry entry.
+pub static INFO: Info = Info {
+    id: "weighted_average",
+    aliases: &[],
+    name: "Weighted average",
+    citation: &["Bavoil2008", "McGuire2013"],
+    doc: "Composites as many copies of the alpha-weighted mean fragment as there are fragments (MB13 eq. 4). \
+          The background shows too much unless all alphas are equal, and fragments that neither cover nor \
+          emit change the image.",
+    axes: Axes {
+        memory: "1 layer",
+        insertion: "always",
+        merge: "α-weighted average",
+        normalize: "no",
+        opacity: "alpha",
+    },
+    params: &[],
+    submission_orders: ANY_ORDER,
+    random: false,
+    geometry_passes: "1",
+    bytes_per_pixel: "10 (sums and a count)",
+    build,
+};
+
+#[expect(clippy::unnecessary_wraps, reason = "the signature of every technique's build")]
+fn build(_params: &Params, _view: &View) -> Result<Box<dyn AnyTechnique>> {
+    Ok(Box::new(WeightedAverage))
+}
+
+struct WeightedAverage;
+
+impl Technique for WeightedAverage {
+    type Scratch = ();
+    const SEES_ZERO_FRAGMENTS: bool = true;
+
+    /// MB13 eq. 4, Listing 2.
+    #[expect(clippy::cast_precision_loss, reason = "a pixel's list is far shorter than 2^52")]
+    fn resolve(&self, pixel: &Pixel<'_>, (): &mut ()) -> Resolved {
+        let mut sums = BlendSums::CLEAR;
+        for (&color, &alpha) in pixel.list.color.iter().zip(pixel.list.alpha) {
+            sums.add(1.0, color, alpha);
+        }
+        let Some(average) = sums.average() else { return Resolved::background(pixel.background) };
+        let n = pixel.list.len() as f64;
+        let mean_alpha = (sums.alpha() / n).min(1.0);
+        let log_transmittance = n * (-mean_alpha).ln_1p();
+        blend(average, -log_transmittance.exp_m1(), log_transmittance.exp(), pixel.background)
+    }
+
+    fn cost(&self, _complexity: &DepthComplexity) -> Cost {
+        Cost { geometry_passes: 1.0, bytes_per_pixel: 10.0 }
+    }
+
+    fn properties(&self) -> Properties {
+        Properties { order_independent: true, exact_for_one: true, ..Properties::NONE }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::techniques::testing::{
+        BACKGROUND, F32_STATE, assert_close, fragment, over, random_pixel, resolve, three_layers,
+    };
+    use glam::{DVec3, Vec3};
+
+    #[test]
+    fn three_layers_by_hand() {
+        // mean alpha 1/2, so 1/8 of the background
+        let expected = 0.875 / 1.5 * DVec3::new(0.45, 0.6, 0.875) + 0.125 * Vec3::from(BACKGROUND).as_dvec3();
+        assert_close(resolve("weighted_average", &[], &three_layers()), expected, 0.125, F32_STATE);
+    }
+
+    #[test]
+    fn the_background_never_shows_too_little_and_right_for_equal_alphas() {
+        for n in 1..=16 {
+            let mut pixel = random_pixel(n, 7);
+            let exact = over(&pixel).1;
+            let got = resolve("weighted_average", &[], &pixel).transmittance.x;
+            assert!(got >= exact - F32_STATE, "{got} < {exact}");
+            for f in &mut pixel {
+                f.alpha = 0.3;
+            }
+            let got = resolve("weighted_average", &[], &pixel).transmittance.x;
+            assert!((got - over(&pixel).1).abs() < F32_STATE);
+        }
+    }
+
+    #[test]
+    fn zero_fragments_change_the_image() {
+        let mut pixel = vec![fragment(1.0, [1.0; 3], 1.0, 0)];
+        assert_eq!(resolve("weighted_average", &[], &pixel).transmittance.x, 0.0);
+        pixel.push(fragment(2.0, [0.0; 3], 0.0, 1));
+        assert!((resolve("weighted_average", &[], &pixel).transmittance.x - 0.25).abs() < 1e-15);
+    }
+
+    #[test]
+    fn faint_fragments_do_not_cancel() {
+        let pixel = vec![fragment(1.0, [1.0; 3], 1e-12, 0); 4];
+        let mut black = resolve("weighted_average", &[], &pixel);
+        black.color -= black.transmittance * Vec3::from(BACKGROUND).as_dvec3();
+        assert!((black.color.x / 4e-12 - 1.0).abs() < 1e-3, "{black:?}");
+    }
+}

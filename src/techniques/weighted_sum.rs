@@ -1,0 +1,95 @@
+//! Sort-independent alpha blending (Meshkin 2007): the terms of `over` that do not depend on order.
+
+use crate::continuum::sums::BlendSums;
+use crate::error::Result;
+use crate::params::{Params, View};
+use crate::technique::{
+    AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties, Resolved, Technique,
+};
+use crate::techniques::ANY_ORDER;
+
+/// The registry entry.
+pub static INFO: Info = Info {
+    id: "weighted_sum",
+    aliases: &[],
+    name: "Weighted sum (sort-independent alpha blending)",
+    citation: &["Meshkin2007", "McGuire2013"],
+    doc: "Adds up premultiplied colours and subtracts their coverage from the background (MB13 eq. 3): right \
+          to first order in alpha, and out of the colours' hull once coverages sum to more than 1.",
+    axes: Axes {
+        memory: "1 layer",
+        insertion: "always",
+        merge: "weighted sum",
+        normalize: "no",
+        opacity: "alpha",
+    },
+    params: &[],
+    submission_orders: ANY_ORDER,
+    random: false,
+    geometry_passes: "1",
+    bytes_per_pixel: "8",
+    build,
+};
+
+#[expect(clippy::unnecessary_wraps, reason = "the signature of every technique's build")]
+fn build(_params: &Params, _view: &View) -> Result<Box<dyn AnyTechnique>> {
+    Ok(Box::new(WeightedSum))
+}
+
+struct WeightedSum;
+
+impl Technique for WeightedSum {
+    type Scratch = ();
+
+    /// MB13 eq. 3, Listing 1.
+    fn resolve(&self, pixel: &Pixel<'_>, (): &mut ()) -> Resolved {
+        let mut sums = BlendSums::CLEAR;
+        for (&color, &alpha) in pixel.list.color.iter().zip(pixel.list.alpha) {
+            sums.add(1.0, color, alpha);
+        }
+        let transmittance = 1.0 - sums.alpha();
+        Resolved::new(sums.color() + transmittance * pixel.background, transmittance)
+    }
+
+    fn cost(&self, _complexity: &DepthComplexity) -> Cost {
+        Cost { geometry_passes: 1.0, bytes_per_pixel: 8.0 }
+    }
+
+    fn properties(&self) -> Properties {
+        Properties { order_independent: true, exact_for_one: true, ..Properties::NONE }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::techniques::testing::{
+        BACKGROUND, F32_STATE, assert_close, over, random_pixel, resolve, three_layers,
+    };
+    use glam::{DVec3, Vec3};
+
+    #[test]
+    fn layers_by_hand() {
+        let background = Vec3::from(BACKGROUND).as_dvec3();
+        let two = DVec3::new(0.3, 0.525, 0.125) + 0.25 * background;
+        assert_close(resolve("weighted_sum", &[], &three_layers()[..2]), two, 0.25, F32_STATE);
+        let three = DVec3::new(0.45, 0.6, 0.875) - 0.5 * background; // coverages sum to 1.5
+        assert_close(resolve("weighted_sum", &[], &three_layers()), three, -0.5, F32_STATE);
+    }
+
+    #[test]
+    fn the_error_is_of_second_order_in_alpha() {
+        let pixel = random_pixel(8, 1);
+        let error = |scale: f32| {
+            let mut faint = pixel.clone();
+            for f in &mut faint {
+                f.alpha *= scale;
+                f.color = f.color.map(|c| c * scale);
+            }
+            let difference = resolve("weighted_sum", &[], &faint).color - over(&faint).0;
+            difference.abs().max_element() / f64::from(scale).powi(2)
+        };
+        let limit = error(1e-2);
+        assert!(limit > 0.0);
+        assert!((error(1e-3) / limit - 1.0).abs() < 0.1, "{} {limit}", error(1e-3));
+    }
+}

@@ -1,0 +1,352 @@
+//! Depth weights: how much a fragment counts in a blended average, given its depth and coverage.
+//!
+//! A weight maps slices to a slice, so that a formula vectorises and a user's own weight enters through the
+//! same door as the published ones. The formulas are those of `McGuire` & Bavoil 2013 (MB13) and of the
+//! I3D 2016 shaders of the phenomenological model. A constant factor cancels in every technique.
+
+use crate::error::Result;
+use crate::params::{Kind, ParamSpec, Params, Value};
+
+/// Weights stay within these bounds. Where all weights underflow to the floor the average is unweighted
+/// (MB13 eq. 5) instead of 0/0; the ceiling leaves the sums of 10⁴ bright fragments finite in f32.
+pub const WEIGHT_BOUNDS: (f32, f32) = (1e-30, 1e30);
+
+/// The smallest depth a weight sees: keeps `z^-k` finite at the eye.
+pub const MIN_DEPTH: f32 = 1e-4;
+
+/// A weight function of depth and coverage.
+pub trait DepthWeight: Send + Sync {
+    /// Writes `weights[i] = w(depth[i], alpha[i])`. The slices have one length; `depth >= `[`MIN_DEPTH`].
+    fn evaluate(&self, depth: &[f32], alpha: &[f32], weights: &mut [f32]);
+}
+
+/// The published weights.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Formula {
+    /// 1: MB13 eq. 5.
+    One,
+    /// MB13 eq. 7.
+    Mb7,
+    /// MB13 eq. 8.
+    Mb8,
+    /// MB13 eq. 9.
+    Mb9,
+    /// MB13 eq. 10, a function of window depth.
+    Mb10(Planes),
+    /// `z^-k`: MB13's scenes use k = 4 and 5.
+    InvPow {
+        /// The exponent.
+        k: f32,
+    },
+    /// MB13 Fig. 1.
+    Fig1,
+    /// MB13 Fig. 6, two puffs of smoke.
+    Smoke6,
+    /// MB13 Fig. 10, tuned by k.
+    Fig10 {
+        /// The inverse depth at which the weight has fallen to 1/11 of its maximum.
+        k: f32,
+    },
+    /// The clamped cubic of the phenomenological model's shaders (I3D 2016).
+    I3d16(Planes),
+}
+
+/// Near and far plane as window depth needs them.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Planes {
+    scale: f32,
+    inverse_far: f32,
+}
+
+impl Planes {
+    /// Planes at view depths `near < far`.
+    #[expect(clippy::cast_possible_truncation, reason = "weights are evaluated in f32")]
+    pub fn new(near: f64, far: f64) -> Self {
+        Self { scale: (near * (far / (far - near))) as f32, inverse_far: far.recip() as f32 }
+    }
+
+    /// 1 − d with d of MB13 eq. 11 clamped to [0, 1]: 1 at the near plane, 0 at the far one. Written as a
+    /// difference of inverses, since 1 − d itself cancels for most of the scene.
+    fn one_minus_depth(self, z: f32) -> f32 {
+        (self.scale * (z.recip() - self.inverse_far)).clamp(0.0, 1.0)
+    }
+}
+
+fn fill(depth: &[f32], alpha: &[f32], weights: &mut [f32], w: impl Fn(f32, f32) -> f32) {
+    for ((weight, &z), &a) in weights.iter_mut().zip(depth).zip(alpha) {
+        *weight = w(z, a);
+    }
+}
+
+impl DepthWeight for Formula {
+    fn evaluate(&self, depth: &[f32], alpha: &[f32], weights: &mut [f32]) {
+        let square = |x: f32| x * x;
+        let cube = |x: f32| x * x * x;
+        let mb = |x: f32| x.clamp(1e-2, 3e3);
+        match *self {
+            Self::One => weights.fill(1.0),
+            Self::Mb7 => fill(depth, alpha, weights, |z, a| {
+                a * mb(10.0 / (1e-5 + square(z / 5.0) + square(cube(z / 200.0))))
+            }),
+            Self::Mb8 => fill(depth, alpha, weights, |z, a| {
+                a * mb(10.0 / (1e-5 + cube(z / 10.0) + square(cube(z / 200.0))))
+            }),
+            Self::Mb9 => {
+                fill(depth, alpha, weights, |z, a| a * mb(0.03 / (1e-5 + square(square(z / 200.0)))));
+            }
+            Self::Mb10(planes) => {
+                fill(depth, alpha, weights, |z, a| a * (3e3 * cube(planes.one_minus_depth(z))).max(1e-2));
+            }
+            Self::InvPow { k } => fill(depth, alpha, weights, |z, _| z.powf(-k)),
+            Self::Fig1 => fill(depth, alpha, weights, |z, _| square((z + 5.0).recip())),
+            Self::Smoke6 => fill(depth, alpha, weights, |z, a| square(a / cube(z))),
+            Self::Fig10 { k } => fill(depth, alpha, weights, |z, _| {
+                let x = k * z;
+                10.0 / (1.0 + 10.0 * square(square(x)) * x)
+            }),
+            Self::I3d16(planes) => fill(depth, alpha, weights, |z, a| {
+                (1e3 * a * cube(0.01 + 0.99 * planes.one_minus_depth(z))).clamp(1e-2, 30.0)
+            }),
+        }
+    }
+}
+
+/// A weight function with the depth scale and shift it is seen through.
+pub struct Weighting {
+    function: Box<dyn DepthWeight>,
+    scale: f32,
+    shift: f32,
+}
+
+impl Weighting {
+    /// `function` of `max(scale z + shift, `[`MIN_DEPTH`]`)`.
+    #[expect(clippy::cast_possible_truncation, reason = "weights are evaluated in f32")]
+    pub fn new(function: Box<dyn DepthWeight>, scale: f64, shift: f64) -> Self {
+        Self { function, scale: scale as f32, shift: shift as f32 }
+    }
+
+    /// The weighting that a technique's params ask for; the technique's table has [`WEIGHT`], [`WEIGHT_K`],
+    /// [`WEIGHT_SCALE`], [`WEIGHT_SHIFT`], [`NEAR`] and [`FAR`].
+    ///
+    /// # Errors
+    /// `Error::Param` if near is not below far.
+    pub fn from_params(params: &Params) -> Result<Self> {
+        let (near, far) = (params.float("near"), params.float("far"));
+        if near >= far {
+            let problem = format!("parameter \"near\" is {near:?}, but \"far\" is {far:?}");
+            return Err(params.error(problem, "near must be less than far"));
+        }
+        let planes = Planes::new(near, far);
+        #[expect(clippy::cast_possible_truncation, reason = "weights are evaluated in f32")]
+        let k = || params.float("weight_k") as f32;
+        let formula = match params.text("weight") {
+            "one" => Formula::One,
+            "mb7" => Formula::Mb7,
+            "mb8" => Formula::Mb8,
+            "mb9" => Formula::Mb9,
+            "mb10" => Formula::Mb10(planes),
+            "inv_pow" => Formula::InvPow { k: k() },
+            "fig1" => Formula::Fig1,
+            "smoke6" => Formula::Smoke6,
+            "fig10" => Formula::Fig10 { k: k() },
+            "i3d16" => Formula::I3d16(planes),
+            other => unreachable!("{other:?} is not a choice of \"weight\""),
+        };
+        Ok(Self::new(Box::new(formula), params.float("weight_scale"), params.float("weight_shift")))
+    }
+
+    /// The weight of every fragment, in `weights`, which is resized to fit.
+    pub fn evaluate(&self, depth: &[f32], alpha: &[f32], weights: &mut Vec<f32>) {
+        const CHUNK: usize = 128;
+        let mut seen = [0.0; CHUNK];
+        weights.resize(depth.len(), 0.0);
+        let chunks = depth.chunks(CHUNK).zip(alpha.chunks(CHUNK)).zip(weights.chunks_mut(CHUNK));
+        for ((depth, alpha), weights) in chunks {
+            let seen = &mut seen[..depth.len()];
+            for (seen, &z) in seen.iter_mut().zip(depth) {
+                *seen = (self.scale * z + self.shift).max(MIN_DEPTH);
+            }
+            self.function.evaluate(seen, alpha, weights);
+            for w in weights {
+                *w = w.max(WEIGHT_BOUNDS.0).min(WEIGHT_BOUNDS.1);
+            }
+        }
+    }
+}
+
+fn depth_matters(params: &Params) -> bool {
+    params.text("weight") != "one"
+}
+
+fn planes_matter(params: &Params) -> bool {
+    matches!(params.text("weight"), "mb10" | "i3d16")
+}
+
+/// The param that picks the function.
+pub const WEIGHT: ParamSpec = ParamSpec::new(
+    "weight",
+    Kind::Choice(&["one", "mb7", "mb8", "mb9", "mb10", "inv_pow", "fig1", "smoke6", "fig10", "i3d16"]),
+    Value::Text("mb7"),
+    "weight function of depth and coverage: mb7 to mb10 are MB13 eq. 7 to 10, fig1, smoke6 and fig10 those of \
+     its figures 1, 6 and 10, inv_pow is z^-k, i3d16 the phenomenological model's",
+);
+/// The k of `inv_pow` and `fig10`.
+pub const WEIGHT_K: ParamSpec =
+    ParamSpec::new("weight_k", Kind::POSITIVE, Value::None, "the k of inv_pow and fig10")
+        .derived("4 (inv_pow), 0.01 (fig10)", |params, _| match params.text("weight") {
+            "inv_pow" => Value::Float(4.0),
+            "fig10" => Value::Float(0.01),
+            _ => Value::None,
+        })
+        .when(|params| matches!(params.text("weight"), "inv_pow" | "fig10"));
+/// The depth scale g.
+pub const WEIGHT_SCALE: ParamSpec =
+    ParamSpec::new("weight_scale", Kind::POSITIVE, Value::Float(1.0), "weights see scale * z + shift")
+        .when(depth_matters);
+/// The depth shift s.
+pub const WEIGHT_SHIFT: ParamSpec = ParamSpec::new(
+    "weight_shift",
+    Kind::REAL,
+    Value::Float(0.0),
+    "weights see scale * z + shift, at least 1e-4 (FEE21 section 3.4)",
+)
+.when(depth_matters);
+/// The near plane of mb10 and i3d16.
+pub const NEAR: ParamSpec = ParamSpec::new(
+    "near",
+    Kind::POSITIVE,
+    Value::None,
+    "view depth at which window depth is 0 (MB13 eq. 11)",
+)
+.derived("the camera's", |_, view| Value::Float(view.near))
+.when(planes_matter);
+/// The far plane of mb10 and i3d16.
+pub const FAR: ParamSpec =
+    ParamSpec::new("far", Kind::POSITIVE, Value::None, "view depth at which window depth is 1 (MB13 eq. 11)")
+        .derived("the camera's", |_, view| Value::Float(view.far))
+        .when(planes_matter);
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Relative error of an f32 formula of a dozen operations.
+    const F32_FORMULA: f64 = 2e-6;
+
+    fn weigh(formula: Formula, z: f32, a: f32) -> f64 {
+        let mut weights = Vec::new();
+        Weighting::new(Box::new(formula), 1.0, 0.0).evaluate(&[z], &[a], &mut weights);
+        f64::from(weights[0])
+    }
+
+    /// The table of sheet 2.4, in f64 and in its own words.
+    fn by_hand(formula: Formula, z: f64, a: f64, near: f64, far: f64) -> f64 {
+        let d = (far * (z - near) / (z * (far - near))).clamp(0.0, 1.0);
+        let mb = |x: f64| a * x.clamp(1e-2, 3e3);
+        match formula {
+            Formula::One => 1.0,
+            Formula::Mb7 => mb(10.0 / (1e-5 + (z / 5.0).powi(2) + (z / 200.0).powi(6))),
+            Formula::Mb8 => mb(10.0 / (1e-5 + (z / 10.0).powi(3) + (z / 200.0).powi(6))),
+            Formula::Mb9 => mb(0.03 / (1e-5 + (z / 200.0).powi(4))),
+            Formula::Mb10(_) => a * f64::max(1e-2, 3e3 * (1.0 - d).powi(3)),
+            Formula::InvPow { k } => z.powf(-f64::from(k)),
+            Formula::Fig1 => (z + 5.0).powi(-2),
+            Formula::Smoke6 => a * a * z.powi(-6),
+            Formula::Fig10 { k } => 10.0 / (1.0 + 10.0 * (f64::from(k) * z).powi(5)),
+            Formula::I3d16(_) => (1e3 * a * (1.0 - 0.99 * d).powi(3)).clamp(1e-2, 30.0),
+        }
+    }
+
+    fn formulas(near: f64, far: f64) -> [Formula; 10] {
+        let planes = Planes::new(near, far);
+        [
+            Formula::One,
+            Formula::Mb7,
+            Formula::Mb8,
+            Formula::Mb9,
+            Formula::Mb10(planes),
+            Formula::InvPow { k: 4.0 },
+            Formula::Fig1,
+            Formula::Smoke6,
+            Formula::Fig10 { k: 0.01 },
+            Formula::I3d16(planes),
+        ]
+    }
+
+    #[test]
+    fn each_formula_is_the_papers() {
+        let (near, far) = (0.5, 300.0);
+        for formula in formulas(near, far) {
+            for z in [0.01, 0.3, 0.5, 1.0, 1.5, 4.0, 30.0, 99.0, 158.5, 264.0, 300.0, 500.0_f32] {
+                for a in [0.01, 0.35, 1.0_f32] {
+                    let expected = by_hand(formula, z.into(), a.into(), near, far).max(1e-30);
+                    let got = weigh(formula, z, a);
+                    let error = (got / expected - 1.0).abs();
+                    assert!(error < F32_FORMULA, "{formula:?} z={z} a={a}: {got} for {expected}");
+                }
+            }
+        }
+    }
+
+    /// Where each clamp of MB13 eq. 7 to 10 starts to act (sheet R11).
+    #[test]
+    fn clamps_act_where_the_sheet_says() {
+        let (ceiling, floor) = (f64::from(3e3_f32), f64::from(1e-2_f32));
+        let at = |formula, z| weigh(formula, z, 1.0);
+        assert_eq!(at(Formula::Mb7, 0.288), ceiling);
+        assert!(at(Formula::Mb7, 0.2888) < ceiling);
+        assert!(at(Formula::Mb7, 158.0) > floor);
+        assert_eq!(at(Formula::Mb7, 159.0), floor);
+        assert_eq!(at(Formula::Mb8, 1.49), ceiling);
+        assert!(at(Formula::Mb8, 1.50) < ceiling);
+        assert!(at(Formula::Mb8, 99.8) > floor);
+        assert_eq!(at(Formula::Mb8, 100.0), floor);
+        assert!(at(Formula::Mb9, 2.0) < ceiling);
+        assert!(at(Formula::Mb9, 263.0) > floor);
+        assert_eq!(at(Formula::Mb9, 264.0), floor);
+        let mb10 = Formula::Mb10(Planes::new(0.1, 100.0));
+        assert!(at(mb10, 6.2) > floor);
+        assert_eq!(at(mb10, 6.4), floor);
+    }
+
+    #[test]
+    fn scale_and_shift_move_the_depth_down_to_a_bound() {
+        let mut weights = Vec::new();
+        let weighting = Weighting::new(Box::new(Formula::InvPow { k: 1.0 }), 2.0, -3.0);
+        weighting.evaluate(&[2.0, 3.5, 0.0], &[1.0; 3], &mut weights);
+        assert_eq!(weights, [1.0, 0.25, MIN_DEPTH.powf(-1.0)]);
+    }
+
+    #[test]
+    fn weights_stay_within_their_bounds() {
+        let depths = [0.0, 1e-30, 1.0, 1e10, 1e30, f32::MAX];
+        let formulas = formulas(1e-30, 1e30).into_iter().chain([
+            Formula::InvPow { k: 1e3 },
+            Formula::InvPow { k: 1e-3 },
+            Formula::Fig10 { k: 1e30 },
+            Formula::Mb10(Planes::new(1.0, 1.0 + f64::EPSILON)),
+            Formula::I3d16(Planes::new(1e300, 1e308)),
+        ]);
+        for formula in formulas {
+            for (z, a) in depths.iter().flat_map(|&z| [0.0, 1e-30, 1.0].map(|a| (z, a))) {
+                for (scale, shift) in [(1.0, 0.0), (1e300, -1e300), (1e-300, 1e300)] {
+                    let mut weights = Vec::new();
+                    Weighting::new(Box::new(formula), scale, shift).evaluate(&[z], &[a], &mut weights);
+                    let (floor, ceiling) = WEIGHT_BOUNDS;
+                    assert!((floor..=ceiling).contains(&weights[0]), "{formula:?} z={z} a={a}: {weights:?}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn long_lists_are_weighed_like_short_ones() {
+        let depth: Vec<f32> = (0..1000_u16).map(|i| f32::from(i) * 0.1).collect();
+        let alpha = vec![0.5; depth.len()];
+        let mut all = Vec::new();
+        Weighting::new(Box::new(Formula::Mb7), 1.0, 0.0).evaluate(&depth, &alpha, &mut all);
+        for (&z, &w) in depth.iter().zip(&all) {
+            assert_eq!(f64::from(w), weigh(Formula::Mb7, z, 0.5));
+        }
+    }
+}
