@@ -8,7 +8,7 @@ RUST_SOURCES := $(shell find src shaders -name '*.rs' -o -name '*.wgsl') Cargo.t
 .PHONY: demo test test-rust test-python check bench develop format clean
 
 demo: develop
-	$(BIN)/oitlab demo --out out/demo
+	$(BIN)/oitlab demo --output out/demo
 
 test: test-rust test-python
 

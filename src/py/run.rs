@@ -85,7 +85,11 @@ fn interruptible<T: Send>(
                         return Err(PyRuntimeError::new_err(message));
                     }
                     Err(RecvTimeoutError::Timeout) => {
-                        if let Err(signal) = Python::attach(Python::check_signals) {
+                        #[expect(
+                            clippy::redundant_closure_for_method_calls,
+                            reason = "the method itself is not general enough in its lifetime"
+                        )]
+                        if let Err(signal) = Python::attach(|py| py.check_signals()) {
                             stop.store(true, Ordering::Relaxed);
                             return Err(signal);
                         }
