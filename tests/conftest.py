@@ -4,8 +4,9 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
-import oitlab
 import pytest
+
+import oitlab
 
 DATA = Path(os.environ.get("OITLAB_DATA", Path(__file__).parents[2] / "shared" / "data"))
 

@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import oitlab
 import pytest
+
+import oitlab
 from gltf_files import document, write_glb, write_gltf
 
 Find = Callable[[str], Path]
@@ -141,6 +142,12 @@ def test_truncated_files_of_other_kinds_are_refused(
     path.write_bytes(whole[: int(len(whole) * share)])
     with pytest.raises((ValueError, OSError), match="cut"):
         oitlab.load(path)
+
+
+def test_a_model_too_large_to_frame_is_refused_by_name(tmp_path: Path) -> None:
+    (tmp_path / "x.obj").write_text("v 0 0 0\nv 3e38 0 0\nv 0 3e38 0\nf 1 2 3\n")
+    with pytest.raises(ValueError, match=r"x\.obj: no camera can frame it: eye"):
+        oitlab.load(tmp_path / "x.obj")
 
 
 def break_gltf(change: str) -> tuple[dict[str, Any], bytes]:

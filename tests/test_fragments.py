@@ -4,8 +4,9 @@ import pickle
 from typing import Any
 
 import numpy as np
-import oitlab
 import pytest
+
+import oitlab
 from oitlab import Fragments
 
 TWO_PIXELS: dict[str, Any] = {

@@ -5,8 +5,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import oitlab
 import pytest
+
+import oitlab
 from gltf_files import TRIANGLE, document, write_glb, write_gltf
 
 Find = Callable[[str], Path]
@@ -231,6 +232,29 @@ def test_uncoloured_ply_is_grey_and_opaque(tmp_path: Path) -> None:
     (mesh,) = oitlab.load(tmp_path / "x.ply", shading="unlit").meshes
     np.testing.assert_array_equal(mesh.colors, [(GREY, GREY, GREY, 1)])
     assert (mesh.alpha_mode, mesh.shading) == ("opaque", "unlit")
+
+
+STL = """solid grün
+facet normal 0 0 1
+outer loop
+vertex 0 0 0
+vertex 1 0 0
+vertex 0 1 0
+endloop
+endfacet
+endsolid
+"""
+OFF = "OFF # grün\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n"
+LATIN = {"stl": STL, "off": OFF, "ply": PLY.format(vertex="comment grün\n", face="", v="", f="")}
+
+
+@pytest.mark.parametrize("suffix", LATIN)
+@pytest.mark.parametrize("encoding", ["latin-1", "utf-8"])
+def test_text_in_any_encoding_is_read(tmp_path: Path, suffix: str, encoding: str) -> None:
+    path = tmp_path / f"x.{suffix}"
+    path.write_bytes(LATIN[suffix].encode(encoding))
+    (mesh,) = oitlab.load(path).meshes
+    np.testing.assert_array_equal(mesh.vertices[mesh.faces[0]], TRIANGLE)
 
 
 def test_opacity_replaces_every_alpha(tmp_path: Path) -> None:

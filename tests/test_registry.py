@@ -4,8 +4,9 @@ from dataclasses import FrozenInstanceError
 from pathlib import Path
 
 import numpy as np
-import oitlab
 import pytest
+
+import oitlab
 from oitlab.registry import TechniqueTable
 
 TABLE = oitlab.techniques()

@@ -5,8 +5,9 @@ import sys
 from typing import Any
 
 import numpy as np
-import oitlab
 import pytest
+
+import oitlab
 
 IDS = oitlab.techniques().ids
 

@@ -4,8 +4,9 @@ import pickle
 from typing import Any
 
 import numpy as np
-import oitlab
 import pytest
+
+import oitlab
 from oitlab import Camera, Mesh, Scene
 
 CORNERS = [(-1.0, -1.0, 0.0), (1.0, -1.0, 0.0), (0.0, 1.0, 0.0)]

@@ -3,8 +3,9 @@
 from typing import Any
 
 import numpy as np
-import oitlab
 import pytest
+
+import oitlab
 from oitlab.scenes import SCENES
 
 SMALL: dict[str, dict[str, Any]] = {

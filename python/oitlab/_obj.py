@@ -6,18 +6,11 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
+from ._formats import as_utf8
+
 NOT_FINITE = re.compile(rb"^[ \t]*v[ \t][^\n]*\b(?:nan|inf)", re.MULTILINE | re.IGNORECASE)
 ZERO_OR_RELATIVE = re.compile(rb"^[ \t]*f[ \t](?:[^\n]*[ \t/])?(?:-|0+(?![0-9]))", re.MULTILINE)
 LIBRARY = re.compile(rb"^[ \t]*mtllib[ \t]+(.+?)[ \t\r]*$", re.MULTILINE)
-
-
-def as_utf8(data: bytes) -> bytes:
-    """Re-encode old text (names and comments in Latin-1), which trimesh would lose; UTF-8 stays as it is."""
-    try:
-        data.decode()
-    except UnicodeDecodeError:
-        return data.decode("latin-1").encode()
-    return data
 
 
 def prepare(data: bytes) -> bytes:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import os
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -13,12 +13,20 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from . import _gltf, _obj, _off
+from . import _formats, _gltf, _obj
 from ._convert import count
 from ._material import Material, bytes_to_linear, from_trimesh
 from .camera import Camera
 from .mesh import Mesh
 from .scene import DEFAULT_BACKGROUND, Scene
+
+PREPARE: Mapping[str, Callable[[bytes], bytes]] = {
+    ".obj": _obj.prepare,
+    ".off": _formats.off,
+    ".ply": _formats.ply,
+    ".stl": _formats.stl,
+}
+"""What is done to a file's bytes before trimesh sees them."""
 
 
 class LoadWarning(UserWarning):
@@ -104,7 +112,7 @@ def load(
         )
         warnings.warn(message, TextureWarning, stacklevel=2)
     if camera is None:
-        camera = _framing(meshes, max(size[0], 1) / max(size[1], 1))
+        camera = _framing(file, meshes, max(size[0], 1) / max(size[1], 1))
     return Scene(meshes, camera=camera, width=width, height=height, background=background)
 
 
@@ -145,10 +153,8 @@ def _read(file: Path) -> _Model:
         prepared = _gltf.prepare(data, binary=kind == ".glb") if kind in (".gltf", ".glb") else None
         if prepared is not None:
             data = prepared.data
-        elif kind == ".obj":
-            data = _obj.prepare(data)
-        elif kind == ".off":
-            _off.check(data)
+        elif kind in PREPARE:
+            data = PREPARE[kind](data)
         scene = _trimesh_scene(file, data)
     except OSError as error:
         raise OSError(f"cannot read {file}: {_reason(error)}") from error
@@ -166,7 +172,7 @@ def _trimesh_scene(file: Path, data: bytes) -> Any:
     class Resolver(trimesh.resolvers.FilePathResolver):  # type: ignore[misc]
         def get(self, name: str) -> bytes:
             data: bytes = super().get(name)
-            return _obj.as_utf8(data) if name.lower().endswith(".mtl") else data
+            return _formats.as_utf8(data) if name.lower().endswith(".mtl") else data
 
     kind = trimesh.util.split_extension(str(file), special=["tar.gz", "tar.bz2"]).lower()
     resolver = Resolver(str(file.absolute()))
@@ -287,10 +293,13 @@ def _mesh(file: Path, part: _Part, opacity: float | None, shading: Literal["lamb
         raise ValueError(f"{file}: geometry {part.name!r}: {error}") from error
 
 
-def _framing(meshes: list[Mesh], aspect: float) -> Camera:
+def _framing(file: Path, meshes: list[Mesh], aspect: float) -> Camera:
     used = [mesh.vertices[np.unique(mesh.faces)] for mesh in meshes if len(mesh.faces)]
     if not used:
         return Camera()
     points = np.concatenate(used)
     bounds = np.stack([points.min(axis=0), points.max(axis=0)])
-    return Camera.framing(bounds, aspect=aspect, points=points)
+    try:
+        return Camera.framing(bounds, aspect=aspect, points=points)
+    except ValueError as error:
+        raise ValueError(f"{file}: no camera can frame it: {error}") from error
