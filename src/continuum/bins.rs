@@ -125,6 +125,17 @@ mod tests {
     }
 
     #[test]
+    fn what_overflows_can_still_be_hidden() {
+        let mut bins = Bins::default();
+        bins.reset(2);
+        bins.touch(0).add(1.0, [0.5; 3], 1.0);
+        for _ in 0..2 {
+            bins.touch(1).add(1.0, [f32::MAX; 3], 0.5);
+        }
+        assert_eq!(bins.under_blend().color, DVec3::splat(0.5));
+    }
+
+    #[test]
     fn bins_composite_front_to_back_and_are_empty_afterwards() {
         let mut bins = Bins::default();
         for _ in 0..2 {

@@ -49,3 +49,25 @@ impl DepthRange {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const VIEW: View = View { near: 0.1, far: 100.0, depth_range: (2.0, 8.0) };
+
+    #[test]
+    fn bounds_come_from_the_pixel_or_are_fixed() {
+        let list = List { depth: &[4.0, 3.0, 5.0], ..List::default() };
+        assert_eq!(DepthRange::Pixel.bounds(list), (3.0, 5.0));
+        assert_eq!(DepthRange::Fixed(2.0, 8.0).bounds(list), (2.0, 8.0));
+    }
+
+    #[test]
+    fn a_range_covers_the_scene_or_clamps() {
+        let covers = [(2.0, 8.0), (1.0, 9.0), (2.1, 9.0), (1.0, 7.0)]
+            .map(|(a, b)| DepthRange::Fixed(a, b).covers(&VIEW));
+        assert_eq!(covers, [true, true, false, false]);
+        assert!(DepthRange::Pixel.covers(&VIEW));
+    }
+}

@@ -75,7 +75,7 @@ impl Technique for AlphaCompositing {
 #[cfg(test)]
 mod tests {
     use crate::params::Input;
-    use crate::techniques::testing::{F32_STATE, assert_close, over, resolve, three_layers};
+    use crate::techniques::testing::{F32_STATE, assert_close, fragment, over, resolve, three_layers};
     use glam::DVec3;
 
     #[test]
@@ -86,6 +86,13 @@ mod tests {
             + 0.187_5 * DVec3::new(0.05, 0.45, 0.1)
             + 0.093_75 * DVec3::new(0.25, 0.5, 0.75);
         assert_close(resolve("alpha_compositing", &[], &three_layers()), expected, 0.093_75, F32_STATE);
+    }
+
+    #[test]
+    fn what_overflows_can_still_be_hidden() {
+        let bright = fragment(1.0, [f32::MAX; 3], 0.5, 0);
+        let pixel = [bright, bright, bright, fragment(1.0, [0.5; 3], 1.0, 1)];
+        assert_close(resolve("alpha_compositing", &[], &pixel), DVec3::splat(0.5), 0.0, 0.0);
     }
 
     #[test]

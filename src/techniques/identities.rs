@@ -214,6 +214,38 @@ fn order_matters_exactly_where_it_is_not_claimed_to_be_irrelevant() {
     }
 }
 
+/// Sheet 1.2, columns SOI and CO, and what its section 3 says of one fragment, one colour and coverage.
+#[test]
+fn default_promises_are_the_sheets() {
+    let table = [
+        ("a_buffer", Properties::EXACT),
+        ("depth_peeling", Properties::EXACT),
+        ("alpha_compositing", promises([false, false, true, true, true])),
+        ("painter", promises([true, false, true, true, true])),
+        ("weighted_sum", promises([true, false, true, false, false])),
+        ("weighted_average", promises([true, false, true, false, false])),
+        ("blended_oit", promises([true, false, true, true, true])),
+        ("wboit", promises([true, false, true, true, true])),
+        ("lwboit", promises([true, false, true, true, true])),
+    ];
+    for (id, expected) in table {
+        let variant = Variant::new(find(id).unwrap(), &[]).unwrap();
+        assert_eq!(variant.properties(), expected, "{id}");
+    }
+}
+
+fn promises(claims: [bool; 5]) -> Properties {
+    let [order_independent, consistent, exact_for_one, exact_for_one_color, exact_coverage] = claims;
+    Properties {
+        order_independent,
+        unbiased: false,
+        consistent,
+        exact_for_one,
+        exact_for_one_color,
+        exact_coverage,
+    }
+}
+
 #[test]
 fn zero_fragments_change_nothing_but_where_they_are_seen() {
     for variant in variants().iter().filter(|v| !v.technique.sees_zero_fragments()) {
@@ -336,6 +368,26 @@ fn wboit_without_weight_is_blended_oit() {
         resolve_all("wboit", &[text("weight", "one")], &scene),
         resolve_all("blended_oit", &[], &scene)
     );
+}
+
+/// Sheet R13: averages at exact coverage lose emission without coverage where nothing else covers.
+#[test]
+fn averages_lose_a_lone_emission() {
+    let glow = Fragment { depth: 2.0, color: [1.0, 2.0, 3.0], alpha: 0.0, primitive: 0 };
+    let background = Resolved::background(glam::Vec3::from(BACKGROUND).as_dvec3());
+    let absorbance = [text("partition", "absorbance")];
+    let plain = [("normalize", Input::Bool(false))];
+    let cases = [
+        ("weighted_average", &[][..]),
+        ("blended_oit", &[]),
+        ("wboit", &[]),
+        ("lwboit", &[]),
+        ("lwboit", &absorbance),
+        ("lwboit", &plain),
+    ];
+    for (id, inputs) in cases {
+        assert_eq!(resolve(id, inputs, &[glow, glow]), background, "{id}");
+    }
 }
 
 #[test]

@@ -180,6 +180,66 @@ fn one_smooth_bin_is_wboit_with_the_bells_weight() {
     }
 }
 
+/// Sheet 2.4 word for word, in f64 and over all bins: unshaped, weight 1/z.
+fn by_definition(pixel: &[Fragment], bins: u16, tent: bool, split: bool, normalize: bool) -> DVec3 {
+    let width = 8.0 / f64::from(bins);
+    let function = |f: &Fragment, k: u16| {
+        let x = (f64::from(f.depth) - 1.0) / width - (f64::from(k) + 0.5);
+        let own = ((f64::from(f.depth) - 1.0) / width).floor().min(f64::from(bins - 1));
+        match (tent, split && (f64::from(k) - own).abs() > 2.0) {
+            (true, _) => (1.0 - x.abs()).max(0.0),
+            (_, true) => 0.0,
+            _ => (-4.0 * x * x).exp2(),
+        }
+    };
+    let (mut color, mut transmittance) = (DVec3::ZERO, 1.0);
+    for k in 0..bins {
+        let (mut sum, mut alphas, mut left) = (DVec3::ZERO, 0.0, 1.0);
+        for f in pixel {
+            let (a, b) = (f64::from(f.alpha), function(f, k));
+            let beta = b / (0..bins).map(|j| function(f, j)).sum::<f64>();
+            let s = (-(1.0 - a).ln()).min(10.0);
+            let part = match (split, a > 0.0) {
+                (true, true) => (1.0 - (-beta * s).exp()) / a,
+                (true, false) => beta,
+                _ => b,
+            };
+            sum += part / f64::from(f.depth) * Vec3::from(f.color).as_dvec3();
+            alphas += part / f64::from(f.depth) * a;
+            left *= if split { (-beta * s).exp() } else { 1.0 - a * b };
+        }
+        if alphas > 0.0 {
+            color += transmittance * (1.0 - left) * sum / alphas;
+        }
+        transmittance *= left;
+    }
+    if normalize {
+        let exact = over(pixel).1;
+        return color / (1.0 - transmittance) * (1.0 - exact) + exact * background();
+    }
+    color + transmittance * background()
+}
+
+#[test]
+fn smooth_bins_are_what_the_definition_says() {
+    for n in 1..12 {
+        let mut pixel = random_pixel(n, u64::from(n) + 50);
+        pixel.push(fragment(4.3, [0.9, 0.1, 0.4], 0.05, 77_000));
+        pixel.push(Fragment { alpha: 0.0, ..fragment(4.4, [0.1, 0.1, 0.2], 1.0, 77_001) });
+        for (bins, tent, split, normalize) in
+            (0..24).map(|i| ([1, 4, 13][i / 8], i & 1 == 0, i & 2 == 0, i & 4 == 0))
+        {
+            let inputs = smooth(bins.into()).switch("shape", false).switch("normalize", normalize);
+            let inputs = inputs.word("bin_function", if tent { "tent" } else { "bell" });
+            let inputs = inputs.word("partition", if split { "absorbance" } else { "none" });
+            let inputs = inputs.word("weight", "inv_pow").with("weight_k", Input::Int(1));
+            let (got, expected) =
+                (lwboit(&inputs, &pixel), by_definition(&pixel, bins, tent, split, normalize));
+            assert_close(got, expected, got.transmittance.x, F32_STATE);
+        }
+    }
+}
+
 #[test]
 fn bins_narrower_than_the_gaps_are_over() {
     let shaped = |inputs: Inputs, shape| inputs.switch("shape", shape);
