@@ -66,6 +66,7 @@ def load(
     Parameters
     ----------
     path : str or path
+        Its suffix says what kind of file it is.
     opacity : float in [0, 1], optional
         Replaces every alpha and makes every material blend, after mask tests have run.
     camera : Camera, optional

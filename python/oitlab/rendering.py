@@ -35,6 +35,7 @@ def render(
     Parameters
     ----------
     source : Scene or Fragments
+        What is drawn.
     technique : str
         An id or alias of `oitlab.techniques()`.
     params : mapping, optional
@@ -86,6 +87,7 @@ def render_many(
     Parameters
     ----------
     source : Scene or Fragments
+        What is drawn.
     variants : iterable of (technique, params) or of technique ids
         May be empty, and may repeat itself.
     backend, threads, skip, dtype, diagnostics
@@ -125,6 +127,7 @@ def capture(scene: Scene, *, threads: int | None = None) -> Fragments:
     Parameters
     ----------
     scene : Scene
+        What is rasterised.
     threads : int >= 1, optional
         All cores when absent.
 

@@ -41,6 +41,7 @@ def squares(
     Parameters
     ----------
     seed : int
+        Of all random choices.
     width, height : int
         Image size in pixels.
     count : int
@@ -64,6 +65,7 @@ def smoke(seed: int = 0, width: int = 1280, height: int = 720, *, count: int = 1
     Parameters
     ----------
     seed : int
+        Of all random choices.
     width, height : int
         Image size in pixels.
     count : int
@@ -87,6 +89,7 @@ def soup(
     Parameters
     ----------
     seed : int
+        Of all random choices.
     width, height : int
         Image size in pixels.
     count : int
@@ -108,6 +111,7 @@ def blades(
     Parameters
     ----------
     seed : int
+        Of all random choices.
     width, height : int
         Image size in pixels.
     count : int
@@ -135,6 +139,7 @@ def shells(
     Parameters
     ----------
     seed : int
+        Of all random choices.
     width, height : int
         Image size in pixels.
     count : int
