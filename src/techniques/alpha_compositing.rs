@@ -74,6 +74,7 @@ impl Technique for AlphaCompositing {
 
 #[cfg(test)]
 mod tests {
+    use crate::fragments::Fragment;
     use crate::params::Input;
     use crate::techniques::testing::{F32_STATE, assert_close, fragment, over, resolve, three_layers};
     use glam::DVec3;
@@ -90,7 +91,7 @@ mod tests {
 
     #[test]
     fn what_overflows_can_still_be_hidden() {
-        let bright = fragment(1.0, [f32::MAX; 3], 0.5, 0);
+        let bright = Fragment { alpha: 0.0, ..fragment(1.0, [f32::MAX; 3], 1.0, 0) };
         let pixel = [bright, bright, bright, fragment(1.0, [0.5; 3], 1.0, 1)];
         assert_close(resolve("alpha_compositing", &[], &pixel), DVec3::splat(0.5), 0.0, 0.0);
     }
