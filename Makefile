@@ -5,7 +5,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 RUST_SOURCES := $(shell find src shaders -name '*.rs' -o -name '*.wgsl') Cargo.toml Cargo.lock
 
-.PHONY: demo test test-rust test-python check bench develop format clean
+.PHONY: demo test test-rust test-python check bench develop format clean readme golden
 
 demo: develop
 	$(BIN)/oitlab demo --output out/demo
@@ -50,3 +50,9 @@ $(VENV)/.built: $(VENV)/.installed $(RUST_SOURCES) pyproject.toml
 
 clean:
 	rm -rf $(VENV) target out dist
+
+readme: develop
+	$(BIN)/python docs/generate.py
+
+golden: develop
+	$(BIN)/python tests/test_golden.py
