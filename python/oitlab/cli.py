@@ -166,7 +166,7 @@ def _add_techniques(commands: Any) -> None:
 
 
 def _add_demo(commands: Any) -> None:
-    command = commands.add_parser("demo", help="compare all techniques on two scenes")
+    command = commands.add_parser("demo", help="compare all techniques on three scenes")
     command.add_argument(
         "-o", "--output", type=Path, default=Path("out/demo"), metavar="FOLDER", help="default: out/demo"
     )
@@ -266,9 +266,8 @@ def _demo(options: argparse.Namespace) -> None:
     from . import scenes
 
     size = {"width": options.width, "height": options.height}
-    demos: dict[str, Callable[..., Scene]] = {"squares": scenes.squares, "torus_knot": scenes.torus_knot}
-    for name, make in demos.items():
-        comparison = _measured(make(**size), _all_techniques(), name, options.threads, "a_buffer")
+    for name in ("squares", "torus_knot", "blades"):
+        comparison = _measured(scenes.SCENES[name](**size), _all_techniques(), name, options.threads, "a_buffer")
         _print_table(comparison, name)
         _write_folder(options.output, comparison, name, name)
 

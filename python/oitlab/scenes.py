@@ -169,7 +169,7 @@ def torus_knot(
     windings: tuple[int, int] = (2, 3),
     segments: int = 400,
     sides: int = 32,
-    alpha: float = 0.35,
+    alpha: tuple[float, float] = (0.15, 0.75),
 ) -> Scene:
     """Wind a tube along a torus knot, its hue running once around: layers that a viewer can follow.
 
@@ -183,8 +183,8 @@ def torus_knot(
         Turns around the torus' axis and through its hole; a knot when they share no factor.
     segments, sides : int >= 3
         Points along and around the tube; it has 2 * segments * sides faces.
-    alpha : float in [0, 1]
-        Of every face.
+    alpha : (float, float) in [0, 1]
+        Smallest and largest, half a turn apart along the knot.
     """
     rng = np.random.default_rng(seed)
     if segments < 3 or sides < 3:
@@ -193,7 +193,9 @@ def torus_knot(
     vertices = _tube(_knot(2 * np.pi * turn, windings), sides, radius=0.3)
     faces = _grid_faces(segments, sides)
     hue = 0.5 + 0.5 * np.cos(2 * np.pi * (turn[:, None] + rng.random() + np.array([0, 1 / 3, 2 / 3])))
-    colors = _with_alpha(hue, alpha).repeat(2 * sides, axis=0)
+    lo, hi = alpha
+    opacity = lo + (hi - lo) * (0.5 - 0.5 * np.cos(2 * np.pi * turn))
+    colors = np.column_stack([hue, opacity]).repeat(2 * sides, axis=0)
     return _scene(rng, vertices, faces, colors, (0.6, 1.2, 6.5), width, height)
 
 
