@@ -1,4 +1,4 @@
-"""Rewrites the generated parts of README.md from the registry; `--check` only says whether they are current."""
+"""Rewrite the generated parts of README.md from the registry; `--check` says whether they are current."""
 
 import argparse
 import sys
@@ -11,7 +11,7 @@ BEGIN, END = "<!-- techniques: begin -->\n", "<!-- techniques: end -->\n"
 
 
 def technique_table() -> str:
-    """The registry as a Markdown table."""
+    """Lay the registry out as a Markdown table."""
     lines = [
         "| id | name | source | passes | bytes per pixel | order-independent |",
         "|---|---|---|---|---|---|",
@@ -31,7 +31,7 @@ def technique_table() -> str:
 
 
 def current(text: str) -> str:
-    """The README with its generated part renewed."""
+    """Renew the generated part of the README."""
     head, rest = text.split(BEGIN)
     _, tail = rest.split(END)
     return head + BEGIN + technique_table() + END + tail

@@ -170,7 +170,7 @@ mod tests {
 
     #[test]
     fn a_shuffle_depends_on_the_set_and_the_seed_alone() {
-        let fragments: Vec<_> = (0..32).map(|i| (i as f32, i)).collect();
+        let fragments: Vec<_> = (0..32_u16).map(|i| (f32::from(i), u32::from(i))).collect();
         let reversed: Vec<_> = fragments.iter().rev().copied().collect();
         let shuffle = |f: &[(f32, u32)], seed| primitives(f, SubmissionOrder::Shuffled { seed }, &[]);
         assert_eq!(shuffle(&fragments, 1), shuffle(&reversed, 1));

@@ -152,7 +152,8 @@ impl Resolver {
         for (i, out) in out.iter_mut().enumerate() {
             match lists.count(i) {
                 0 => {}
-                1 if shortcut => {
+                // a lone emission without coverage is lost by some techniques, so it is left to them
+                1 if shortcut && lists.row(i).alpha[0] > 0.0 => {
                     *out = single(lists, i, batch.background(i));
                     tally.single_fragment_pixels += 1;
                 }

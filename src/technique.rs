@@ -71,7 +71,7 @@ pub struct Properties {
     pub unbiased: bool,
     /// The error tends to zero as the technique's size parameter grows.
     pub consistent: bool,
-    /// A pixel with one fragment is exact.
+    /// A pixel with one fragment is exact, if the fragment covers anything.
     pub exact_for_one: bool,
     /// A pixel whose fragments share one unmultiplied colour is exact.
     pub exact_for_one_color: bool,
@@ -115,6 +115,17 @@ pub trait Technique: Send + Sync + 'static {
 
     /// The pixel's colour. `pixel.list` holds at least one fragment.
     fn resolve(&self, pixel: &Pixel<'_>, scratch: &mut Self::Scratch) -> Resolved;
+
+    /// The technique's own transmittance strictly in front of each depth, if it reconstructs one. The exact
+    /// function is the product of 1 - alpha over the fragments with a smaller depth.
+    fn transmittance(
+        &self,
+        _pixel: &Pixel<'_>,
+        _depths: &[f32],
+        _scratch: &mut Self::Scratch,
+    ) -> Option<Vec<f64>> {
+        None
+    }
 
     /// The modelled cost on an image of this depth complexity.
     fn cost(&self, complexity: &DepthComplexity) -> Cost;
@@ -169,6 +180,8 @@ pub trait AnyTechnique: Send + Sync {
     fn sees_zero_fragments(&self) -> bool;
     /// See [`Technique::COLORED_TRANSMITTANCE`].
     fn colored_transmittance(&self) -> bool;
+    /// See [`Technique::transmittance`].
+    fn transmittance(&self, pixel: &Pixel<'_>, depths: &[f32]) -> Option<Vec<f64>>;
     /// See [`Technique::cost`].
     fn cost(&self, complexity: &DepthComplexity) -> Cost;
     /// See [`Technique::properties`].
@@ -186,6 +199,9 @@ impl<T: Technique> AnyTechnique for T {
     }
     fn colored_transmittance(&self) -> bool {
         T::COLORED_TRANSMITTANCE
+    }
+    fn transmittance(&self, pixel: &Pixel<'_>, depths: &[f32]) -> Option<Vec<f64>> {
+        Technique::transmittance(self, pixel, depths, &mut T::Scratch::default())
     }
     fn cost(&self, complexity: &DepthComplexity) -> Cost {
         Technique::cost(self, complexity)

@@ -1,6 +1,14 @@
 //! What the rasteriser guarantees: watertight coverage, exact clipping, and bits that no tiling or thread
 //! count can change.
 
+#![allow(
+    clippy::cast_possible_truncation,
+    clippy::cast_possible_wrap,
+    clippy::cast_precision_loss,
+    clippy::cast_sign_loss,
+    reason = "small numbers, chosen here"
+)]
+
 mod common;
 
 use common::{

@@ -1,5 +1,13 @@
 //! The pipeline over every technique in the registry: captures, shortcuts, duplicates, cancelling, costs.
 
+#![allow(
+    clippy::cast_possible_truncation,
+    clippy::cast_possible_wrap,
+    clippy::cast_precision_loss,
+    clippy::cast_sign_loss,
+    reason = "small numbers, chosen here"
+)]
+
 mod common;
 
 use common::{capture_with, frame, frames_with, perspective, rectangle, request, samples, scene, soup};

@@ -5,11 +5,12 @@ import sys
 import warnings
 
 import numpy as np
-import oitlab
 import pytest
+from PIL import Image
+
+import oitlab
 from oitlab import cli
 from oitlab._image import srgb_bytes
-from PIL import Image
 
 SMALL = ["--width", "48", "--height", "27"]
 TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"

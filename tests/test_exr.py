@@ -6,6 +6,7 @@ import sys
 import numpy as np
 import OpenEXR
 import pytest
+
 from handmade import frame, random_image
 from oitlab.exr import read_exr, write_exr
 from oitlab.metrics import error_map

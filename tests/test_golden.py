@@ -6,8 +6,9 @@
 from pathlib import Path
 
 import numpy as np
-import oitlab
 import pytest
+
+import oitlab
 
 GOLDEN = Path(__file__).parent / "golden"
 # exp and pow differ by an ulp between C libraries; everything else is exact

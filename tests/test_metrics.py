@@ -3,6 +3,7 @@ import sys
 
 import numpy as np
 import pytest
+
 from handmade import frame, random_image
 from oitlab.metrics import METRICS, compare, error_map
 
@@ -176,6 +177,7 @@ class TestPerceptualMetrics:
         assert 0.9 < far["flip"] <= 1.0
         # Linear light goes in: the same as feeding FLIP the sRGB-encoded pictures.
         from flip_evaluator import evaluate
+
         from oitlab._image import srgb_encode
 
         image, reference = random_image(4, 20, 30), random_image(5, 20, 30)

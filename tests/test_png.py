@@ -1,9 +1,10 @@
 import numpy as np
 import pytest
+from PIL import Image
+
 from handmade import frame, random_image
 from oitlab._image import srgb_encode
 from oitlab.png import write_png
-from PIL import Image
 
 
 def read(path):

@@ -5,16 +5,17 @@ import math
 
 import matplotlib
 import numpy as np
-import oitlab
 import pytest
+from PIL import Image
+from rich.console import Console
+
+import oitlab
 from handmade import STATS, frame, random_image
 from oitlab import report
 from oitlab._image import srgb_bytes
 from oitlab.metrics import compare
 from oitlab.report import Comparison, compare_techniques, headline, label, table, write_csv
 from oitlab.sheet import write_contact_sheet
-from PIL import Image
-from rich.console import Console
 
 
 def comparison(*images, reference, labels=None):

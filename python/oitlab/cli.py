@@ -267,7 +267,9 @@ def _demo(options: argparse.Namespace) -> None:
 
     size = {"width": options.width, "height": options.height}
     for name in ("squares", "torus_knot", "blades"):
-        comparison = _measured(scenes.SCENES[name](**size), _all_techniques(), name, options.threads, "a_buffer")
+        comparison = _measured(
+            scenes.SCENES[name](**size), _all_techniques(), name, options.threads, "a_buffer"
+        )
         _print_table(comparison, name)
         _write_folder(options.output, comparison, name, name)
 

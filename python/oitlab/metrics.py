@@ -222,15 +222,23 @@ def _psnr(mse: float, data_range: float | None) -> float:
     return math.inf if mse == 0.0 else 10.0 * math.log10(data_range**2 / mse)
 
 
+def _colour() -> Any:
+    """Import colour-science, which otherwise changes how the user's arrays print."""
+    with np.printoptions():
+        import colour
+
+    return colour
+
+
 def _delta_e_2000(test: _Pixels, exact: _Pixels) -> _Pixels:
-    import colour
+    colour = _colour()
 
     with colour.domain_range_scale("Reference"):
         return np.asarray(colour.difference.delta_E_CIE2000(_lab(test), _lab(exact)), dtype=np.float64)
 
 
 def _lab(linear: _Pixels) -> NDArray[Any]:
-    import colour
+    colour = _colour()
 
     space = colour.RGB_COLOURSPACES["ITU-R BT.709"]
     xyz = np.clip(linear, 0.0, 1.0) @ space.matrix_RGB_to_XYZ.T
@@ -238,7 +246,7 @@ def _lab(linear: _Pixels) -> NDArray[Any]:
 
 
 def _delta_e_itp(test: _Pixels, exact: _Pixels, luminance: float) -> _Pixels:
-    import colour
+    colour = _colour()
 
     _positive("luminance", luminance)
     with colour.domain_range_scale("Reference"):
@@ -247,7 +255,7 @@ def _delta_e_itp(test: _Pixels, exact: _Pixels, luminance: float) -> _Pixels:
 
 
 def _ictcp(linear: _Pixels, luminance: float) -> NDArray[Any]:
-    import colour
+    colour = _colour()
 
     to_2020 = colour.matrix_RGB_to_RGB(
         colour.RGB_COLOURSPACES["ITU-R BT.709"], colour.RGB_COLOURSPACES["ITU-R BT.2020"], None

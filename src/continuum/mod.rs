@@ -2,5 +2,6 @@
 
 pub mod absorbance;
 pub mod bins;
+pub mod oracle;
 pub mod range;
 pub mod sums;

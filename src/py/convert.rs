@@ -34,7 +34,7 @@ fn input(value: &Bound<'_, PyAny>) -> PyResult<Input> {
     Ok(Input::Other(format!("{what} ({})", value.get_type().name()?)))
 }
 
-/// A dict of params.
+/// A dict of params. `None` stands for a param's default, as it does in `frame.params`.
 ///
 /// # Errors
 /// `TypeError` for a key that is not a string.
@@ -44,7 +44,7 @@ pub fn inputs(params: &Bound<'_, PyDict>) -> PyResult<Vec<(String, Input)>> {
         let name = name.map_err(|_| PyTypeError::new_err(format!("param name {key} is not a string")))?;
         Ok((name, input(&value)?))
     };
-    params.iter().map(pair).collect()
+    params.iter().filter(|(_, value)| !value.is_none()).map(pair).collect()
 }
 
 /// A resolved param as Python sees it.

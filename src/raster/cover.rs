@@ -196,8 +196,8 @@ mod tests {
             let scale = [64, 700, 4096, 20_000_000][n as usize % 4];
             // coordinates on the centre grid now and then, so that ties happen
             let at = |k: u32| {
-                let c = i32::try_from(hash32(n, k, 0, 0, 0) % (2 * scale)).unwrap() - scale as i32 / 2;
-                if hash32(n, k, 1, 0, 0) % 2 == 0 { c.div_euclid(128) * 128 } else { c }
+                let c = (hash32(n, k, 0, 0, 0) % (2 * scale)).cast_signed() - scale.cast_signed() / 2;
+                if hash32(n, k, 1, 0, 0).is_multiple_of(2) { c.div_euclid(128) * 128 } else { c }
             };
             let t = [(at(0), at(1)), (at(2), at(3)), (at(4), at(5))];
             assert_eq!(covered(&t, &RECT), top_left_rule(t, &RECT), "{t:?}");

@@ -1,5 +1,12 @@
 //! Scenes and shorthands for the tests that use the crate from outside.
 
+#![allow(
+    clippy::cast_possible_truncation,
+    clippy::cast_possible_wrap,
+    clippy::cast_precision_loss,
+    clippy::cast_sign_loss,
+    reason = "small numbers, chosen here"
+)]
 #![allow(dead_code, reason = "each test binary uses its own part")]
 
 use glam::DVec3;

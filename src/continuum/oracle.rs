@@ -1,0 +1,193 @@
+//! The two-pass template of transmittance techniques: build T̂, then accumulate every fragment through it
+//! (sheet 0.3). They differ in the basis that T̂ is written in, and in nothing else.
+
+use super::sums::{BlendSums, blend};
+use crate::fragments::{Fragment, List};
+use crate::params::{Kind, ParamSpec, Params, Value};
+use crate::technique::{Cost, DepthComplexity, Pixel, Properties, Resolved, Technique};
+
+/// How the accumulated fragments meet the background.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Composite {
+    /// `N + T̂(∞) C_0`: everything as the map has it.
+    None,
+    /// `N + R C_0`: the background's share is the exact product.
+    ExactBackground,
+    /// `N (1 − R) / D + R C_0`: a weighted average with T̂ for a weight.
+    Normalize,
+}
+
+impl Composite {
+    /// The param `composite` with the given default.
+    pub const fn param(default: &'static str) -> ParamSpec {
+        ParamSpec::new(
+            "composite",
+            Kind::Choice(&["none", "exact_bg", "normalize"]),
+            Value::Text(default),
+            "how the sums meet the background: as the map has it, with the background's exact share, or \
+             normalised to the exact coverage",
+        )
+    }
+
+    /// What the param `composite` asks for.
+    pub fn from_params(params: &Params) -> Self {
+        match params.text("composite") {
+            "exact_bg" => Self::ExactBackground,
+            "normalize" => Self::Normalize,
+            _ => Self::None,
+        }
+    }
+}
+
+/// Transmittances below this one are raised to it when they are weights: a dense stack whose every T̂
+/// underflows then falls back to MB13 eq. 5 instead of showing the background.
+pub const FLOOR: f64 = 1e-30;
+
+/// A basis for a pixel's transmittance function, with its params bound.
+pub trait Oracle: Send + Sync + 'static {
+    /// The function of one pixel, and what building it needs; reused from pixel to pixel.
+    type Map: Default;
+    /// Whether [`Oracle::build`] looks at `pixel.sorted`.
+    const NEEDS_SORTED: bool = false;
+
+    /// Pass A: the pixel's transmittance function.
+    fn build(&self, pixel: &Pixel<'_>, map: &mut Self::Map);
+
+    /// T̂ strictly in front of one of the pixel's fragments, at its (depth, primitive), freed of the
+    /// fragment's own absorbance where the technique does so.
+    fn in_front_of(&self, map: &Self::Map, fragment: &Fragment) -> f64;
+
+    /// T̂ strictly in front of any depth.
+    fn at(&self, map: &Self::Map, depth: f32) -> f64;
+
+    /// T̂(∞).
+    fn total(&self, map: &Self::Map) -> f64;
+
+    /// The modelled cost, both passes together.
+    fn cost(&self, complexity: &DepthComplexity) -> Cost;
+
+    /// The promises when composited so.
+    fn properties(&self, composite: Composite) -> Properties;
+}
+
+/// A technique that looks through an oracle.
+pub struct TwoPass<O> {
+    /// The transmittance function.
+    pub oracle: O,
+    /// The resolve.
+    pub composite: Composite,
+}
+
+impl<O: Oracle> TwoPass<O> {
+    /// Pass B: every fragment through the map.
+    fn accumulate(&self, map: &O::Map, list: List<'_>) -> BlendSums {
+        let floor = if self.composite == Composite::Normalize { FLOOR } else { 0.0 };
+        let mut sums = BlendSums::CLEAR;
+        for fragment in list.iter() {
+            #[expect(clippy::cast_possible_truncation, reason = "the sums are f32 targets")]
+            let weight = self.oracle.in_front_of(map, &fragment).max(floor) as f32;
+            sums.add(weight, fragment.color, fragment.alpha);
+        }
+        sums
+    }
+}
+
+impl<O: Oracle> Technique for TwoPass<O> {
+    type Scratch = O::Map;
+    const NEEDS_SORTED: bool = O::NEEDS_SORTED;
+
+    fn resolve(&self, pixel: &Pixel<'_>, map: &mut O::Map) -> Resolved {
+        self.oracle.build(pixel, map);
+        let sums = self.accumulate(map, pixel.list);
+        match self.composite {
+            Composite::None => blend(sums.color(), 1.0, self.oracle.total(map), pixel.background),
+            Composite::ExactBackground => blend(sums.color(), 1.0, sums.transmittance(), pixel.background),
+            Composite::Normalize => sums.over(pixel.background),
+        }
+    }
+
+    fn transmittance(&self, pixel: &Pixel<'_>, depths: &[f32], map: &mut O::Map) -> Option<Vec<f64>> {
+        self.oracle.build(pixel, map);
+        Some(depths.iter().map(|&depth| self.oracle.at(map, depth)).collect())
+    }
+
+    fn cost(&self, complexity: &DepthComplexity) -> Cost {
+        self.oracle.cost(complexity)
+    }
+
+    fn properties(&self) -> Properties {
+        self.oracle.properties(self.composite)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fragments::Lists;
+    use crate::technique::Batch;
+    use crate::techniques::testing::{BACKGROUND, assert_close, over, three_layers};
+
+    /// The exact step function, from the sorted list.
+    struct Exact;
+
+    impl Oracle for Exact {
+        type Map = Vec<(f32, f64)>;
+        const NEEDS_SORTED: bool = true;
+
+        fn build(&self, pixel: &Pixel<'_>, map: &mut Self::Map) {
+            map.clear();
+            let mut transmittance = 1.0;
+            for f in pixel.sorted.iter() {
+                transmittance *= 1.0 - f64::from(f.alpha);
+                map.push((f.depth, transmittance));
+            }
+        }
+        fn in_front_of(&self, map: &Self::Map, fragment: &Fragment) -> f64 {
+            self.at(map, fragment.depth)
+        }
+        fn at(&self, map: &Self::Map, depth: f32) -> f64 {
+            map.iter().take_while(|(z, _)| *z < depth).last().map_or(1.0, |(_, t)| *t)
+        }
+        fn total(&self, map: &Self::Map) -> f64 {
+            map.last().map_or(1.0, |(_, t)| *t)
+        }
+        fn cost(&self, _complexity: &DepthComplexity) -> Cost {
+            Cost { geometry_passes: 2.0, bytes_per_pixel: 10.0 }
+        }
+        fn properties(&self, _composite: Composite) -> Properties {
+            Properties::EXACT
+        }
+    }
+
+    /// f32 sums of three layers.
+    const SUMS: f64 = 1e-6;
+
+    #[test]
+    fn an_exact_map_makes_every_composite_exact() {
+        let fragments = three_layers();
+        let (mut lists, mut sorted) = (Lists::new(), Lists::new());
+        fragments.iter().for_each(|f| lists.push(*f));
+        lists.end_row();
+        let mut by_depth = fragments.clone();
+        by_depth.sort_by(|a, b| a.depth.total_cmp(&b.depth));
+        by_depth.iter().for_each(|f| sorted.push(*f));
+        sorted.end_row();
+        let batch = Batch {
+            x: 0,
+            y: 0,
+            width: 1,
+            first: 0,
+            lists: lists.as_ref(),
+            sorted: Some(sorted.as_ref()),
+            background: &[BACKGROUND],
+        };
+        let (color, transmittance) = over(&fragments);
+        for composite in [Composite::None, Composite::ExactBackground, Composite::Normalize] {
+            let technique = TwoPass { oracle: Exact, composite };
+            let got = technique.resolve(&batch.pixel(0), &mut Vec::new());
+            assert_close(got, color, transmittance, SUMS);
+            let steps = technique.transmittance(&batch.pixel(0), &[2.0, 3.0, 5.0, 9.0], &mut Vec::new());
+            assert_eq!(steps.unwrap(), [1.0, 0.75, 0.375, 0.093_75]);
+        }
+    }
+}
