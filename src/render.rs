@@ -2,8 +2,10 @@
 
 mod capture;
 mod image;
+mod inspect;
 
 pub use capture::capture;
+pub use inspect::{Transmittance, order_sensitivity, transmittance};
 
 use crate::error::{Error, Result};
 use crate::fragments::{CentroidDepths, Fragments, Lists};
@@ -300,7 +302,9 @@ impl<'a> Job<'a> {
         tally.raster_nanos += nanos_since(start);
         let mut first = 0;
         while first < rect.area() {
-            let last = self.part_end(first, rect.area(), |i| worker.tile.counts()[i] as usize);
+            let last = part_end(first, rect.area(), self.options.max_fragments, |i| {
+                worker.tile.counts()[i] as usize
+            });
             let start = Instant::now();
             if !worker.tile.fill(raster, first, last, &mut worker.lists, self.stop) {
                 return (None, tally);
@@ -328,27 +332,10 @@ impl<'a> Job<'a> {
         (Some(piece), tally)
     }
 
-    /// The end of the longest run of pixels from `first` whose fragments fit the budget; at least one pixel.
-    fn part_end(&self, first: usize, end: usize, count: impl Fn(usize) -> usize) -> usize {
-        let mut sum = count(first);
-        (first + 1..end)
-            .find(|&i| {
-                sum += count(i);
-                sum > self.options.max_fragments
-            })
-            .unwrap_or(end)
-    }
-
     /// Resolves a fragment list piece by piece.
     fn fragments<S: Sample>(&self, fragments: &Fragments, target: &mut Target<S>) -> Tally {
         let rows = fragments.lists.as_ref();
-        let mut ends = Vec::new();
-        let mut first = 0;
-        while first < fragments.pixels() {
-            let limit = fragments.pixels().min(first + PIECE_PIXELS);
-            first = self.part_end(first, limit, |i| rows.count(i));
-            ends.push(first);
-        }
+        let ends = run_ends(fragments, PIECE_PIXELS, self.options.max_fragments);
         let workers = Workers::default();
         target
             .runs(&ends)
@@ -448,6 +435,31 @@ impl<'a> Job<'a> {
             threads: clock.threads,
         }
     }
+}
+
+/// The end of the longest run of pixels from `first` whose fragments fit the budget; at least one pixel.
+fn part_end(first: usize, end: usize, budget: usize, count: impl Fn(usize) -> usize) -> usize {
+    let mut sum = count(first);
+    (first + 1..end)
+        .find(|&i| {
+            sum += count(i);
+            sum > budget
+        })
+        .unwrap_or(end)
+}
+
+/// Where to cut a captured image into runs of at most so many pixels and, if they have more than one, so many
+/// fragments.
+fn run_ends(fragments: &Fragments, pixels: usize, budget: usize) -> Vec<usize> {
+    let rows = fragments.lists.as_ref();
+    let mut ends = Vec::new();
+    let mut first = 0;
+    while first < fragments.pixels() {
+        let limit = fragments.pixels().min(first + pixels);
+        first = part_end(first, limit, budget, |i| rows.count(i));
+        ends.push(first);
+    }
+    ends
 }
 
 /// Times that all variants of a run share.

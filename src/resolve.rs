@@ -99,6 +99,19 @@ impl Resolver {
         }
     }
 
+    /// The transmittance function that `variant` reconstructs at the one pixel of `batch`, if it does.
+    pub fn transmittance(
+        &mut self,
+        variant: &Variant,
+        centroids: Option<&CentroidDepths>,
+        batch: &Batch<'_>,
+        depths: &[f32],
+    ) -> Option<Vec<f64>> {
+        let shared = self.prepare(std::slice::from_ref(variant), batch.lists);
+        let (lists, sorted) = self.submitted(variant, centroids, batch.lists, shared.has_zeros);
+        variant.technique.transmittance(&Batch { lists, sorted, ..*batch }.pixel(0), depths)
+    }
+
     /// Filters and sorts once for all variants that want it.
     fn prepare(&mut self, variants: &[Variant], lists: ListsRef<'_>) -> Prepared {
         let has_zeros = lists.all.iter().any(|f| f.is_zero());
@@ -123,6 +136,31 @@ impl Resolver {
         Prepared { has_zeros, sort_nanos, sort_with_zeros_nanos: nanos_since(start) }
     }
 
+    /// The lists as `variant` is to see them, in its submission order and, if it wants that too, sorted.
+    fn submitted<'a>(
+        &'a mut self,
+        variant: &Variant,
+        centroids: Option<&CentroidDepths>,
+        lists: ListsRef<'a>,
+        has_zeros: bool,
+    ) -> (ListsRef<'a>, Option<ListsRef<'a>>) {
+        let (seen, sorted) = match (has_zeros, variant.technique.sees_zero_fragments()) {
+            (true, false) => (self.kept.as_ref(), &self.sorted),
+            (true, true) => (lists, &self.sorted_with_zeros),
+            (false, _) => (lists, &self.sorted),
+        };
+        let sorted = variant.wants_sorted().then(|| sorted.as_ref());
+        let submitted = match (variant.order, sorted) {
+            (SubmissionOrder::AsIs, _) => seen,
+            (SubmissionOrder::Sorted, Some(sorted)) => sorted,
+            (order, _) => {
+                self.reorderer.reorder(seen, order, centroids, &mut self.reordered);
+                self.reordered.as_ref()
+            }
+        };
+        (submitted, sorted)
+    }
+
     fn run_variant(
         &mut self,
         context: &Context<'_>,
@@ -133,22 +171,10 @@ impl Resolver {
         tally: &mut VariantTally,
     ) {
         let technique = &*variant.technique;
-        let (seen, sorted) = match (has_zeros, technique.sees_zero_fragments()) {
-            (true, false) => (self.kept.as_ref(), &self.sorted),
-            (true, true) => (batch.lists, &self.sorted_with_zeros),
-            (false, _) => (batch.lists, &self.sorted),
-        };
-        let sorted = variant.wants_sorted().then(|| sorted.as_ref());
-        let lists = match (variant.order, sorted) {
-            (SubmissionOrder::AsIs, _) => seen,
-            (SubmissionOrder::Sorted, Some(sorted)) => sorted,
-            (order, _) => {
-                self.reorderer.reorder(seen, order, context.centroids, &mut self.reordered);
-                self.reordered.as_ref()
-            }
-        };
         let shortcut = context.skip && technique.properties().exact_for_one;
-        self.pixels.clear();
+        let mut pixels = std::mem::take(&mut self.pixels);
+        pixels.clear();
+        let (lists, sorted) = self.submitted(variant, context.centroids, batch.lists, has_zeros);
         for (i, out) in out.iter_mut().enumerate() {
             match lists.count(i) {
                 0 => {}
@@ -158,11 +184,12 @@ impl Resolver {
                     tally.single_fragment_pixels += 1;
                 }
                 #[expect(clippy::cast_possible_truncation, reason = "pixels of a batch")]
-                _ => self.pixels.push(i as u32),
+                _ => pixels.push(i as u32),
             }
         }
         let batch = Batch { lists, sorted, ..*batch };
-        technique.resolve_batch(&batch, &self.pixels, out, &|| (context.stop)());
+        technique.resolve_batch(&batch, &pixels, out, &|| (context.stop)());
+        self.pixels = pixels;
     }
 }
 

@@ -22,6 +22,7 @@ from ._oitlab import __version__
 from .exr import read_exr, write_exr
 from .fragments import Fragments
 from .frame import Frame, Stats
+from .inspection import Transmittance, order_sensitivity, transmittance
 from .loading import LoadWarning, TextureWarning, load
 from .metrics import compare, error_map
 from .png import write_png
@@ -40,16 +41,19 @@ __all__ = [
     "Stats",
     "TechniqueInfo",
     "TextureWarning",
+    "Transmittance",
     "__version__",
     "capture",
     "compare",
     "error_map",
     "load",
+    "order_sensitivity",
     "read_exr",
     "render",
     "render_many",
     "scenes",
     "techniques",
+    "transmittance",
     "write_exr",
     "write_png",
 ]

@@ -129,4 +129,19 @@ def render(
     float64: bool,
 ) -> list[Frame]: ...
 def capture(scene: Scene, threads: int | None) -> Fragments: ...
+def transmittance(
+    fragments: Fragments,
+    technique: str,
+    params: dict[str, Any],
+    pixel: tuple[int, int],
+    depths: NDArray[np.float32],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]: ...
+def order_sensitivity(
+    fragments: Fragments,
+    technique: str,
+    params: dict[str, Any],
+    n: int,
+    seed: int,
+    threads: int | None,
+) -> NDArray[np.float64]: ...
 def techniques() -> list[dict[str, Any]]: ...

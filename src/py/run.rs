@@ -1,14 +1,17 @@
 //! The calls that do the work, with Ctrl-C kept alive.
 
+use super::arrays::contiguous;
 use super::convert::{info, inputs};
 use super::fragments::PyFragments;
 use super::frame::PyFrame;
 use super::scene::PyScene;
 use crate::Result;
 use crate::fragments::Fragments;
-use crate::render::{Options, Request, Source, capture as capture_scene, render as render_source};
+use crate::render as core;
+use crate::render::{Options, Request, Source};
 use crate::scene::Scene;
 use crate::techniques::REGISTRY;
+use numpy::{PyArray1, PyArrayMethods, PyReadonlyArray1};
 use pyo3::exceptions::{PyRuntimeError, PyTypeError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -123,7 +126,7 @@ pub fn render<'py>(
         variants.into_iter().map(|(id, params)| Ok((id, inputs(&params)?))).collect::<PyResult<_>>()?;
     let options = options(threads, skip)?;
     let frames = interruptible(py, |stop| {
-        let run = if float64 { render_source::<f64> } else { render_source::<f32> };
+        let run = if float64 { core::render::<f64> } else { core::render::<f32> };
         run(source.as_source(), &requests, &options, stop)
     })?;
     frames.into_iter().map(|frame| PyFrame::new(py, frame, source.share())).collect()
@@ -134,8 +137,52 @@ pub fn render<'py>(
 pub fn capture(py: Python<'_>, scene: &Bound<'_, PyScene>, threads: Option<i64>) -> PyResult<PyFragments> {
     let options = options(threads, true)?;
     let scene = Arc::clone(&scene.get().0);
-    let fragments = interruptible(py, |stop| capture_scene(&scene, &options, stop))?;
+    let fragments = interruptible(py, |stop| core::capture(&scene, &options, stop))?;
     Ok(PyFragments(Arc::new(fragments)))
+}
+
+/// The exact and the technique's own transmittance strictly in front of some depths of a pixel.
+#[pyfunction]
+pub fn transmittance<'py>(
+    py: Python<'py>,
+    fragments: &Bound<'py, PyFragments>,
+    technique: String,
+    params: &Bound<'py, PyDict>,
+    pixel: (i64, i64),
+    depths: PyReadonlyArray1<'py, f32>,
+) -> PyResult<(Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<f64>>)> {
+    let request = (technique, inputs(params)?);
+    let fragments = &fragments.get().0;
+    let outside = |_| {
+        let problem = format!("{pixel:?} is not in the image of {} x {}", fragments.width, fragments.height);
+        crate::Error::argument("pixel", problem)
+    };
+    let x = u32::try_from(pixel.0).map_err(outside)?;
+    let y = u32::try_from(pixel.1).map_err(outside)?;
+    let found = core::transmittance(fragments, &request, (x, y), contiguous("depths", &depths)?)?;
+    Ok((PyArray1::from_vec(py, found.exact), PyArray1::from_vec(py, found.reconstructed)))
+}
+
+/// Every pixel's variance over random submission orders.
+#[pyfunction]
+pub fn order_sensitivity<'py>(
+    py: Python<'py>,
+    fragments: &Bound<'py, PyFragments>,
+    technique: String,
+    params: &Bound<'py, PyDict>,
+    n: i64,
+    seed: u64,
+    threads: Option<i64>,
+) -> PyResult<Bound<'py, PyAny>> {
+    let request = (technique, inputs(params)?);
+    let options = options(threads, true)?;
+    let fragments = Arc::clone(&fragments.get().0);
+    let shape = [fragments.height as usize, fragments.width as usize];
+    let shuffles = usize::try_from(n).unwrap_or(0);
+    let variance = interruptible(py, |stop| {
+        core::order_sensitivity(&fragments, &request, shuffles, seed, &options, stop)
+    })?;
+    Ok(PyArray1::from_vec(py, variance).reshape(shape)?.into_any())
 }
 
 /// The registry, one dict per technique.

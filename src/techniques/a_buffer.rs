@@ -83,6 +83,15 @@ impl Technique for ABuffer {
         Resolved::new(color + transmittance * pixel.background, transmittance)
     }
 
+    fn transmittance(&self, pixel: &Pixel<'_>, depths: &[f32], (): &mut ()) -> Option<Vec<f64>> {
+        let list = pixel.sorted;
+        let in_front = |&depth: &f32| {
+            let count = list.depth.partition_point(|z| *z < depth);
+            list.alpha[..count].iter().map(|a| 1.0 - f64::from(*a)).product()
+        };
+        Some(depths.iter().map(in_front).collect())
+    }
+
     fn cost(&self, complexity: &DepthComplexity) -> Cost {
         list_cost(complexity.mean)
     }

@@ -1,0 +1,164 @@
+"""Looking inside a technique: its transmittance function, and how much it depends on submission order."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from . import _oitlab
+from ._convert import array, count
+from ._convert import params as python_params
+from .fragments import Fragments
+from .rendering import capture
+from .scene import Scene
+
+
+@dataclass(frozen=True, eq=False)
+class Transmittance:
+    """A pixel's transmittance strictly in front of some depths.
+
+    Attributes
+    ----------
+    depths : (N,) float32
+        View-space distances.
+    exact : (N,) float64 in [0, 1]
+        The product of 1 - alpha over all fragments nearer than the depth.
+    reconstructed : (N,) float64
+        What the technique makes of it.
+    """
+
+    depths: NDArray[np.float32]
+    exact: NDArray[np.float64]
+    reconstructed: NDArray[np.float64]
+
+
+def transmittance(
+    source: Scene | Fragments,
+    technique: str,
+    params: Mapping[str, Any] | None = None,
+    *,
+    pixel: tuple[int, int],
+    depths: ArrayLike | None = None,
+) -> Transmittance:
+    """Reconstruct a technique's transmittance function T(z) at one pixel, beside the exact one.
+
+    Parameters
+    ----------
+    source : Scene or Fragments
+        A scene is captured first; capture it yourself to look at many pixels.
+    technique : str
+        One that reconstructs a transmittance function.
+    params : mapping, optional
+        The technique's parameters.
+    pixel : (x, y)
+        Column from the left and row from the top.
+    depths : (N,) floats >= 0, optional
+        Where to evaluate. Left out: both sides of every fragment of the pixel and 200 depths between its
+        nearest and farthest fragment, ascending, so that a plot shows the steps.
+
+    Returns
+    -------
+    Transmittance
+
+    Raises
+    ------
+    ValueError
+        A pixel outside the image, depths that are not finite and >= 0, params that `render` would refuse, or a
+        technique without a transmittance function.
+
+    Examples
+    --------
+    >>> import oitlab
+    >>> fragments = oitlab.Fragments(width=1, height=1, offsets=[0, 2], depth=[2, 4], alpha=[0.5, 0.5],
+    ...                              color=[[0.5, 0, 0], [0, 0.5, 0]], background=(0, 0, 0))
+    >>> curve = oitlab.transmittance(fragments, "a_buffer", pixel=(0, 0), depths=[1, 3, 5])
+    >>> curve.exact.tolist(), curve.reconstructed.tolist()
+    ([1.0, 0.5, 0.25], [1.0, 0.5, 0.25])
+    """
+    fragments = _fragments(source)
+    x, y = pixel
+    place = (int(x), int(y))
+    if depths is None:
+        inside = 0 <= place[0] < fragments.width and 0 <= place[1] < fragments.height
+        where = _steps(fragments.pixel(*place)["depth"]) if inside else np.empty(0, np.float32)
+    else:
+        where = array(depths, "depths", np.float32, ("N",))
+    exact, reconstructed = _oitlab.transmittance(
+        fragments._handle, technique, python_params(params, technique), place, where
+    )
+    return Transmittance(where, exact, reconstructed)
+
+
+def order_sensitivity(
+    source: Scene | Fragments,
+    technique: str,
+    params: Mapping[str, Any] | None = None,
+    n: int = 16,
+    *,
+    seed: int = 0,
+    threads: int | None = None,
+) -> NDArray[np.float64]:
+    """Measure how much a technique's image depends on submission order.
+
+    The fragments are handed over in `n` random orders of the primitives; everything else stays, the random
+    numbers of random techniques included.
+
+    Parameters
+    ----------
+    source : Scene or Fragments
+    technique : str
+    params : mapping, optional
+        The technique's parameters, without `submission_order`.
+    n : int in [2, 4096]
+        Number of shuffles.
+    seed : int >= 0
+        Picks the shuffles.
+    threads : int >= 1, optional
+        All cores when absent.
+
+    Returns
+    -------
+    (H, W) float64
+        Per pixel the unbiased variance of linear RGB over the shuffles, averaged over the channels. Zero up to
+        the rounding of sums for an order-independent technique.
+
+    Raises
+    ------
+    ValueError
+        A bad `n`, `submission_order` among the params, a technique with an order of its own (`painter`), or
+        params that `render` would refuse.
+
+    Examples
+    --------
+    >>> import oitlab
+    >>> scene = oitlab.scenes.blades(width=32, height=18, count=40)
+    >>> bool(oitlab.order_sensitivity(scene, "alpha_compositing", n=4).max() > 1e-4)
+    True
+    >>> float(oitlab.order_sensitivity(scene, "a_buffer", n=4).max())
+    0.0
+    """
+    fragments = _fragments(source)
+    workers = None if threads is None else count(threads, "threads")
+    options = python_params(params, technique)
+    return _oitlab.order_sensitivity(
+        fragments._handle, technique, options, count(n, "n"), count(seed, "seed"), workers
+    )
+
+
+def _fragments(source: Scene | Fragments) -> Fragments:
+    if isinstance(source, Scene):
+        return capture(source)
+    if isinstance(source, Fragments):
+        return source
+    raise ValueError(f"source must be a Scene or Fragments, got {type(source).__name__}")
+
+
+def _steps(depth: NDArray[np.float32]) -> NDArray[np.float32]:
+    if len(depth) == 0:
+        return np.empty(0, np.float32)
+    between = np.linspace(depth.min(), depth.max(), 200, dtype=np.float32)
+    return np.unique(np.concatenate([between, depth, np.nextafter(depth, np.float32(np.inf))]))
