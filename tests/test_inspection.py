@@ -1,8 +1,9 @@
 """A technique's transmittance function and its dependence on order, through the package."""
 
 import numpy as np
-import oitlab
 import pytest
+
+import oitlab
 
 
 @pytest.fixture(scope="module")

@@ -5,6 +5,21 @@ from typing import Any, Literal, TypeAlias, final
 import numpy as np
 from numpy.typing import NDArray
 
+__all__ = [
+    "Camera",
+    "Fragments",
+    "Frame",
+    "Mesh",
+    "Scene",
+    "__version__",
+    "build_features",
+    "capture",
+    "order_sensitivity",
+    "render",
+    "techniques",
+    "transmittance",
+]
+
 __version__: str
 build_features: tuple[str, ...]
 
@@ -135,7 +150,7 @@ def transmittance(
     params: dict[str, Any],
     pixel: tuple[int, int],
     depths: NDArray[np.float32],
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]: ...
+) -> list[NDArray[np.float64]]: ...
 def order_sensitivity(
     fragments: Fragments,
     technique: str,

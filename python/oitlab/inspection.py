@@ -57,7 +57,7 @@ def transmittance(
     pixel : (x, y)
         Column from the left and row from the top.
     depths : (N,) floats >= 0, optional
-        Where to evaluate. Left out: both sides of every fragment of the pixel and 200 depths between its
+        Where to evaluate. Left out: both sides of every fragment of the pixel and 200 depths between the
         nearest and farthest fragment, ascending, so that a plot shows the steps.
 
     Returns
@@ -67,14 +67,14 @@ def transmittance(
     Raises
     ------
     ValueError
-        A pixel outside the image, depths that are not finite and >= 0, params that `render` would refuse, or a
-        technique without a transmittance function.
+        A pixel outside the image, depths that are not finite and >= 0, params that `render` would refuse, or
+        a technique without a transmittance function.
 
     Examples
     --------
     >>> import oitlab
     >>> fragments = oitlab.Fragments(width=1, height=1, offsets=[0, 2], depth=[2, 4], alpha=[0.5, 0.5],
-    ...                              color=[[0.5, 0, 0], [0, 0.5, 0]], background=(0, 0, 0))
+    ...     color=[[0.5, 0, 0], [0, 0.5, 0]], background=(0, 0, 0))
     >>> curve = oitlab.transmittance(fragments, "a_buffer", pixel=(0, 0), depths=[1, 3, 5])
     >>> curve.exact.tolist(), curve.reconstructed.tolist()
     ([1.0, 0.5, 0.25], [1.0, 0.5, 0.25])
@@ -110,7 +110,9 @@ def order_sensitivity(
     Parameters
     ----------
     source : Scene or Fragments
+        A scene is captured first.
     technique : str
+        One that accepts any submission order.
     params : mapping, optional
         The technique's parameters, without `submission_order`.
     n : int in [2, 4096]
@@ -123,8 +125,8 @@ def order_sensitivity(
     Returns
     -------
     (H, W) float64
-        Per pixel the unbiased variance of linear RGB over the shuffles, averaged over the channels. Zero up to
-        the rounding of sums for an order-independent technique.
+        Per pixel the unbiased variance of linear RGB over the shuffles, averaged over the channels. Zero up
+        to the rounding of sums for an order-independent technique.
 
     Raises
     ------
@@ -144,9 +146,8 @@ def order_sensitivity(
     fragments = _fragments(source)
     workers = None if threads is None else count(threads, "threads")
     options = python_params(params, technique)
-    return _oitlab.order_sensitivity(
-        fragments._handle, technique, options, count(n, "n"), count(seed, "seed"), workers
-    )
+    shuffles, first = count(n, "n"), count(seed, "seed")
+    return _oitlab.order_sensitivity(fragments._handle, technique, options, shuffles, first, workers)
 
 
 def _fragments(source: Scene | Fragments) -> Fragments:
