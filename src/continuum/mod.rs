@@ -2,6 +2,7 @@
 
 pub mod absorbance;
 pub mod bins;
+pub mod masks;
 pub mod oracle;
 pub mod range;
 pub mod sums;
