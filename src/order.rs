@@ -1,7 +1,8 @@
 //! Submission order as an experiment parameter: the same fragments, handed over in another order (sheet 0.4).
 
-use crate::fragments::{CentroidDepths, List, Lists, ListsRef};
+use crate::fragments::{List, Lists, ListsRef};
 use crate::random::hash32;
+use std::collections::HashMap;
 
 /// The orders that every technique accepts, as users write them; the first is the default.
 pub const SUBMISSION_ORDERS: &[&str] =
@@ -54,6 +55,48 @@ pub fn sort_key(depth: f32, primitive: u32) -> u64 {
     u64::from((depth + 0.0).to_bits()) << 32 | u64::from(primitive)
 }
 
+/// The places of primitives when sorted back to front by the view depth of their centroid, larger id first on
+/// ties.
+#[derive(Debug, Clone)]
+pub enum CentroidOrder {
+    /// Indexed by primitive id.
+    All(Vec<u32>),
+    /// Only the primitives that occur.
+    Some(HashMap<u32, u32>),
+}
+
+impl CentroidOrder {
+    /// The order of primitives whose depths are listed by id.
+    #[expect(clippy::cast_possible_truncation, reason = "primitive ids are u32")]
+    pub fn of_all(depths: &[f64]) -> Self {
+        let mut places = vec![0; depths.len()];
+        let ids = (0..depths.len() as u32).map(|id| (id, depths[id as usize]));
+        for (place, id) in back_to_front(ids).into_iter().enumerate() {
+            places[id as usize] = place as u32;
+        }
+        Self::All(places)
+    }
+
+    /// The order of some primitives, given with their depths.
+    pub fn of_some(primitives: impl Iterator<Item = (u32, f64)>) -> Self {
+        Self::Some(back_to_front(primitives).into_iter().zip(0..).collect())
+    }
+
+    /// The place of `primitive`, 0 for the farthest. One that is not known is taken as nearest.
+    fn place(&self, primitive: u32) -> u32 {
+        match self {
+            Self::All(places) => places[primitive as usize],
+            Self::Some(places) => places.get(&primitive).copied().unwrap_or(u32::MAX),
+        }
+    }
+}
+
+fn back_to_front(primitives: impl Iterator<Item = (u32, f64)>) -> Vec<u32> {
+    let mut sorted: Vec<_> = primitives.collect();
+    sorted.sort_unstable_by(|a, b| b.1.total_cmp(&a.1).then(b.0.cmp(&a.0)));
+    sorted.into_iter().map(|(id, _)| id).collect()
+}
+
 /// Copies lists into another order, reusing its memory.
 #[derive(Debug, Default)]
 pub struct Reorderer {
@@ -66,7 +109,7 @@ impl Reorderer {
         &mut self,
         lists: ListsRef<'_>,
         order: SubmissionOrder,
-        centroids: Option<&CentroidDepths>,
+        centroids: Option<&CentroidOrder>,
         out: &mut Lists,
     ) {
         out.clear();
@@ -81,7 +124,7 @@ impl Reorderer {
     }
 
     /// Fills `keyed` with the row's places in the wanted order. Equal keys keep their arrival order.
-    fn sort_row(&mut self, row: List<'_>, order: SubmissionOrder, centroids: Option<&CentroidDepths>) {
+    fn sort_row(&mut self, row: List<'_>, order: SubmissionOrder, centroids: Option<&CentroidOrder>) {
         self.keyed.clear();
         match order {
             SubmissionOrder::AsIs => self.key_by(row, |_| 0),
@@ -100,8 +143,8 @@ impl Reorderer {
                 });
             }
             SubmissionOrder::Centroid => {
-                self.sort_by_centroid(row, centroids);
-                return;
+                let place = |primitive| centroids.map_or(0, |order| order.place(primitive));
+                self.key_by(row, |i| u64::from(place(row.primitive[i])));
             }
         }
         self.keyed.sort_unstable();
@@ -113,15 +156,6 @@ impl Reorderer {
     #[expect(clippy::cast_possible_truncation, reason = "a pixel's list is far shorter than 2^32")]
     fn key_by(&mut self, row: List<'_>, key: impl Fn(usize) -> u64) {
         self.keyed.extend((0..row.len()).map(|i| (key(i), i as u32)));
-    }
-
-    fn sort_by_centroid(&mut self, row: List<'_>, centroids: Option<&CentroidDepths>) {
-        self.key_by(row, |i| u64::from(row.primitive[i]));
-        let depth = |primitive: u64| {
-            #[expect(clippy::cast_possible_truncation, reason = "the key is a u32 primitive")]
-            centroids.map_or(0.0, |c| c.get(primitive as u32))
-        };
-        self.keyed.sort_by(|a, b| depth(b.0).total_cmp(&depth(a.0)).then(b.0.cmp(&a.0)));
     }
 }
 
@@ -150,7 +184,7 @@ mod tests {
 
     fn primitives(fragments: &[(f32, u32)], order: SubmissionOrder, depths: &[f64]) -> Vec<u32> {
         let (from, mut to) = (lists(fragments), Lists::new());
-        let centroids = CentroidDepths::Dense(depths.to_vec());
+        let centroids = CentroidOrder::of_all(depths);
         Reorderer::default().reorder(from.as_ref(), order, Some(&centroids), &mut to);
         to.primitive
     }

@@ -8,9 +8,9 @@ pub use capture::capture;
 pub use inspect::{Transmittance, order_sensitivity, transmittance};
 
 use crate::error::{Error, Result};
-use crate::fragments::{CentroidDepths, Fragments, Lists};
+use crate::fragments::{Fragments, Lists};
 use crate::frame::{Frame, Sample, Stats};
-use crate::order::SubmissionOrder;
+use crate::order::{CentroidOrder, SubmissionOrder};
 use crate::params::{Checked, Input, Params, View, check};
 use crate::raster::{self, Raster, Tile};
 use crate::resolve::{Context, Resolver, Variant, VariantTally, nanos_since};
@@ -105,7 +105,7 @@ struct Job<'a> {
     variants: Vec<Variant>,
     /// Per request: the variant that answers it, and the params as requested.
     answers: Vec<(usize, Params)>,
-    centroids: Option<CentroidDepths>,
+    centroids: Option<CentroidOrder>,
     options: &'a Options,
     stop: &'a (dyn Fn() -> bool + Sync),
     start: Instant,
@@ -213,8 +213,8 @@ impl<'a> Job<'a> {
         }
         let by_centroid = variants.iter().any(|v| v.order == SubmissionOrder::Centroid);
         let centroids = by_centroid.then(|| match source {
-            Source::Scene(scene) => CentroidDepths::Dense(raster::centroid_depths(scene)),
-            Source::Fragments(fragments) => fragments.centroid_depths(),
+            Source::Scene(scene) => CentroidOrder::of_all(&raster::centroid_depths(scene)),
+            Source::Fragments(fragments) => fragments.centroid_order(),
         });
         Ok(Self { variants, answers, centroids, options, stop, start })
     }

@@ -1,8 +1,8 @@
 //! Runs techniques over batches of pixels: hands each the fragments it should see, in the order it should see
 //! them, and answers pixels itself where the answer is provably the technique's own.
 
-use crate::fragments::{CentroidDepths, Lists, ListsRef};
-use crate::order::{Reorderer, SubmissionOrder, without_zero_fragments};
+use crate::fragments::{Lists, ListsRef};
+use crate::order::{CentroidOrder, Reorderer, SubmissionOrder, without_zero_fragments};
 use crate::params::Params;
 use crate::technique::{AnyTechnique, Batch, Info, Resolved};
 use glam::{DVec3, Vec3};
@@ -71,8 +71,8 @@ impl Prepared {
 pub struct Context<'a> {
     /// The techniques to run.
     pub variants: &'a [Variant],
-    /// Centroid depths, where a variant asks for that order.
-    pub centroids: Option<&'a CentroidDepths>,
+    /// The primitives by centroid, where a variant asks for that order.
+    pub centroids: Option<&'a CentroidOrder>,
     /// Whether shortcuts may be taken.
     pub skip: bool,
     /// Says whether to stop.
@@ -103,7 +103,7 @@ impl Resolver {
     pub fn transmittance(
         &mut self,
         variant: &Variant,
-        centroids: Option<&CentroidDepths>,
+        centroids: Option<&CentroidOrder>,
         batch: &Batch<'_>,
         depths: &[f32],
     ) -> Option<Vec<f64>> {
@@ -140,7 +140,7 @@ impl Resolver {
     fn submitted<'a>(
         &'a mut self,
         variant: &Variant,
-        centroids: Option<&CentroidDepths>,
+        centroids: Option<&CentroidOrder>,
         lists: ListsRef<'a>,
         has_zeros: bool,
     ) -> (ListsRef<'a>, Option<ListsRef<'a>>) {

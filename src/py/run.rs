@@ -150,7 +150,7 @@ pub fn transmittance<'py>(
     params: &Bound<'py, PyDict>,
     pixel: (i64, i64),
     depths: PyReadonlyArray1<'py, f32>,
-) -> PyResult<(Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<f64>>)> {
+) -> PyResult<[Bound<'py, PyArray1<f64>>; 2]> {
     let request = (technique, inputs(params)?);
     let fragments = &fragments.get().0;
     let outside = |_| {
@@ -160,7 +160,7 @@ pub fn transmittance<'py>(
     let x = u32::try_from(pixel.0).map_err(outside)?;
     let y = u32::try_from(pixel.1).map_err(outside)?;
     let found = core::transmittance(fragments, &request, (x, y), contiguous("depths", &depths)?)?;
-    Ok((PyArray1::from_vec(py, found.exact), PyArray1::from_vec(py, found.reconstructed)))
+    Ok([PyArray1::from_vec(py, found.exact), PyArray1::from_vec(py, found.reconstructed)])
 }
 
 /// Every pixel's variance over random submission orders.

@@ -57,7 +57,7 @@ pub fn transmittance(
         sorted: None,
         background: &background,
     };
-    let centroids = (variant.order == SubmissionOrder::Centroid).then(|| fragments.centroid_depths());
+    let centroids = (variant.order == SubmissionOrder::Centroid).then(|| fragments.centroid_order());
     let reconstructed = Resolver::default().transmittance(&variant, centroids.as_ref(), &batch, depths);
     let none = || Error::argument("technique", format!("{} has no transmittance function", info.id));
     Ok(Transmittance { exact, reconstructed: reconstructed.ok_or_else(none)? })

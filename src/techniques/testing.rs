@@ -121,7 +121,7 @@ pub fn run(technique: &dyn AnyTechnique, order: SubmissionOrder, scene: &[Vec<Fr
     }
     let mut seen = Lists::new();
     without_zero_fragments(all.as_ref(), &mut seen);
-    let centroids = as_image(seen.clone()).centroid_depths();
+    let centroids = as_image(seen.clone()).centroid_order();
     if technique.sees_zero_fragments() {
         seen = all;
     }
