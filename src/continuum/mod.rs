@@ -1,6 +1,7 @@
 //! The building blocks that techniques share: each choice of the continuum (Wyman 2016, Table 1) once.
 
 pub mod absorbance;
+pub mod binned;
 pub mod bins;
 pub mod masks;
 pub mod oracle;

@@ -2,7 +2,7 @@
 //! (sheet 0.3). They differ in the basis that T̂ is written in, and in nothing else.
 
 use super::sums::{BlendSums, blend};
-use crate::fragments::{Fragment, List};
+use crate::fragments::Fragment;
 use crate::params::{Kind, ParamSpec, Params, Value};
 use crate::technique::{Cost, DepthComplexity, Pixel, Properties, Resolved, Technique};
 
@@ -35,6 +35,23 @@ impl Composite {
             "exact_bg" => Self::ExactBackground,
             "normalize" => Self::Normalize,
             _ => Self::None,
+        }
+    }
+}
+
+impl Composite {
+    /// What holds of an additive map of absorbance that is composited so: such a map does not depend on order,
+    /// and its own background share is not exact behind opaque fragments, whose absorbance is bounded.
+    /// `lone_is_free` says whether nothing is in front of a lone fragment.
+    pub fn promises(self, lone_is_free: bool) -> Properties {
+        let normalize = self == Self::Normalize;
+        Properties {
+            order_independent: true,
+            unbiased: false,
+            consistent: false,
+            exact_for_one: normalize || (self == Self::ExactBackground && lone_is_free),
+            exact_for_one_color: normalize,
+            exact_coverage: self != Self::None,
         }
     }
 }
@@ -79,8 +96,10 @@ pub struct TwoPass<O> {
 }
 
 impl<O: Oracle> TwoPass<O> {
-    /// Pass B: every fragment through the map.
-    fn accumulate(&self, map: &O::Map, list: List<'_>) -> BlendSums {
+    /// Pass B: every fragment through the map. Sorted fragments, where there are any, make the sums the same
+    /// to the last bit whatever the order of submission.
+    fn accumulate(&self, map: &O::Map, pixel: &Pixel<'_>) -> BlendSums {
+        let list = if O::NEEDS_SORTED { pixel.sorted } else { pixel.list };
         let floor = if self.composite == Composite::Normalize { FLOOR } else { 0.0 };
         let mut sums = BlendSums::CLEAR;
         for fragment in list.iter() {
@@ -98,7 +117,7 @@ impl<O: Oracle> Technique for TwoPass<O> {
 
     fn resolve(&self, pixel: &Pixel<'_>, map: &mut O::Map) -> Resolved {
         self.oracle.build(pixel, map);
-        let sums = self.accumulate(map, pixel.list);
+        let sums = self.accumulate(map, pixel);
         match self.composite {
             Composite::None => blend(sums.color(), 1.0, self.oracle.total(map), pixel.background),
             Composite::ExactBackground => blend(sums.color(), 1.0, sums.transmittance(), pixel.background),

@@ -33,6 +33,12 @@ impl DepthRange {
         }
     }
 
+    /// The interval of a pixel with these fragments.
+    pub fn interval(&self, list: List<'_>) -> Interval {
+        let (lo, hi) = self.bounds(list);
+        Interval { lo, hi }
+    }
+
     /// The bounds for a pixel with these fragments.
     pub fn bounds(&self, list: List<'_>) -> (f64, f64) {
         match *self {
@@ -48,6 +54,39 @@ impl DepthRange {
             Self::Fixed(lo, hi) => lo <= view.depth_range.0 && view.depth_range.1 <= hi,
         }
     }
+}
+
+/// A depth interval that becomes [0, 1].
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Interval {
+    /// The depth at 0.
+    pub lo: f64,
+    /// The depth at 1.
+    pub hi: f64,
+}
+
+impl Interval {
+    /// Where a depth lies, in [0, 1]; 0 in an interval of a single depth.
+    pub fn position(&self, depth: f32) -> f64 {
+        if self.hi <= self.lo {
+            return 0.0;
+        }
+        ((f64::from(depth) - self.lo) / (self.hi - self.lo)).clamp(0.0, 1.0)
+    }
+}
+
+/// Which of `count` equal cells of [0, 1] a position lies in, and how far inside it: 0 at the near edge, 1 at
+/// the far edge of the last one, to which position 1 belongs.
+#[expect(
+    clippy::cast_precision_loss,
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "positions are not negative; cells beyond 2^53 are finer than any f32 depth"
+)]
+pub fn cell(position: f64, count: usize) -> (usize, f64) {
+    let x = position * count as f64;
+    let own = (x as usize).min(count - 1);
+    (own, (x - own as f64).clamp(0.0, 1.0))
 }
 
 #[cfg(test)]
@@ -69,5 +108,20 @@ mod tests {
             .map(|(a, b)| DepthRange::Fixed(a, b).covers(&VIEW));
         assert_eq!(covers, [true, true, false, false]);
         assert!(DepthRange::Pixel.covers(&VIEW));
+    }
+
+    #[test]
+    fn positions_are_clamped_and_those_of_a_single_layer_are_zero() {
+        let interval = Interval { lo: 2.0, hi: 6.0 };
+        assert_eq!([1.0, 2.0, 3.0, 6.0, 7.0].map(|z| interval.position(z)), [0.0, 0.0, 0.25, 1.0, 1.0]);
+        assert_eq!([1.0, 2.0, 3.0].map(|z| Interval { lo: 2.0, hi: 2.0 }.position(z)), [0.0; 3]);
+    }
+
+    #[test]
+    fn cells_are_closed_in_front_and_the_last_one_behind_too() {
+        let cells = [0.0, 0.125, 0.25, 0.875, 1.0].map(|d| cell(d, 4));
+        assert_eq!(cells, [(0, 0.0), (0, 0.5), (1, 0.0), (3, 0.5), (3, 1.0)]);
+        assert_eq!(cell(0.7, 1), (0, 0.7));
+        assert!((0.0..=1.0).contains(&cell(1.0, usize::MAX).1));
     }
 }

@@ -227,6 +227,7 @@ fn default_promises_are_the_sheets() {
         ("blended_oit", promises([true, false, true, true, true])),
         ("wboit", promises([true, false, true, true, true])),
         ("lwboit", promises([true, false, true, true, true])),
+        ("opacity_shadow_maps", promises([true, true, false, false, false])),
     ];
     for (id, expected) in table {
         let variant = Variant::new(find(id).unwrap(), &[]).unwrap();

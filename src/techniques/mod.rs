@@ -10,6 +10,7 @@ pub mod alpha_compositing;
 pub mod blended_oit;
 pub mod depth_peeling;
 pub mod lwboit;
+pub mod opacity_shadow_maps;
 pub mod painter;
 pub mod wboit;
 pub mod weighted_average;
@@ -21,6 +22,7 @@ pub static REGISTRY: &[&Info] = &[
     &alpha_compositing::INFO,
     &painter::INFO,
     &depth_peeling::INFO,
+    &opacity_shadow_maps::INFO,
     &weighted_sum::INFO,
     &weighted_average::INFO,
     &blended_oit::INFO,

@@ -6,12 +6,13 @@
     reason = "test images are small"
 )]
 
+use crate::continuum::oracle::Oracle;
 use crate::error::Result;
 use crate::fragments::{Background, Fragment, Fragments, FragmentsInput, Lists};
-use crate::order::{Reorderer, SubmissionOrder, without_zero_fragments};
+use crate::order::{Reorderer, SubmissionOrder, sort_key, without_zero_fragments};
 use crate::params::{Input, Params, View, check};
 use crate::random::{hash32, unit};
-use crate::technique::{AnyTechnique, Batch, Info, Resolved};
+use crate::technique::{AnyTechnique, Batch, Info, Pixel, Resolved};
 use glam::DVec3;
 
 /// Planes and depth range of the test pixels.
@@ -182,4 +183,59 @@ pub fn difference(got: Resolved, color: DVec3, transmittance: f64) -> f64 {
 pub fn assert_close(got: Resolved, color: DVec3, transmittance: f64, tolerance: f64) {
     let far = difference(got, color, transmittance);
     assert!(far <= tolerance, "{got:?} is {far:e} away from {color:?}, {transmittance}");
+}
+
+/// The params of a technique with `inputs` given.
+pub fn given(info: &Info, inputs: &[(&str, Input)]) -> Params {
+    params(info, &owned(inputs)).unwrap()
+}
+
+/// Pixels of eight layers of alpha 0.1 to 0.9 anywhere in the test view's range: those of the sheet's numbers.
+pub fn clear_pixels(count: u64) -> Scene {
+    let one = |seed| {
+        let mut random = Random::new(seed + 1000);
+        let mut layer = |i| {
+            let (z, alpha) = (1.0 + 8.0 * random.unit(), 0.1 + 0.8 * random.unit());
+            fragment(z, [random.unit(), random.unit(), random.unit()], alpha, i)
+        };
+        (0..8).map(&mut layer).collect()
+    };
+    (0..count).map(one).collect()
+}
+
+/// Hands the fragments over as a pixel, in this order.
+pub fn as_pixel<R>(fragments: &[Fragment], see: impl FnOnce(&Pixel<'_>) -> R) -> R {
+    let (mut lists, mut sorted) = (Lists::new(), Lists::new());
+    fragments.iter().for_each(|f| lists.push(*f));
+    lists.end_row();
+    Reorderer::default().reorder(lists.as_ref(), SubmissionOrder::Sorted, None, &mut sorted);
+    see(&Pixel {
+        x: 0,
+        y: 0,
+        list: lists.as_ref().row(0),
+        sorted: sorted.as_ref().row(0),
+        background: DVec3::from(BACKGROUND.map(f64::from)),
+    })
+}
+
+/// The exact transmittance in front of each fragment, ties broken by primitive.
+pub fn exact_transmittance(fragments: &[Fragment]) -> Vec<f64> {
+    let key = |f: &Fragment| sort_key(f.depth, f.primitive);
+    let hides = |front: &Fragment, f: &Fragment| key(front) < key(f);
+    let share = |f| fragments.iter().filter(|g| hides(g, f)).map(|g| 1.0 - f64::from(g.alpha)).product();
+    fragments.iter().map(share).collect()
+}
+
+/// Mean |T̂ − T| over the fragments of the pixels, T̂ as the second pass sees it.
+pub fn mean_error<O: Oracle>(oracle: &O, pixels: &[Vec<Fragment>]) -> f64 {
+    let mut map = O::Map::default();
+    let (mut sum, mut count) = (0.0, 0.0);
+    for fragments in pixels {
+        as_pixel(fragments, |pixel| oracle.build(pixel, &mut map));
+        for (f, exact) in fragments.iter().zip(exact_transmittance(fragments)) {
+            sum += (oracle.in_front_of(&map, f) - exact).abs();
+            count += 1.0;
+        }
+    }
+    sum / count
 }
