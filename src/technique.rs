@@ -62,6 +62,14 @@ pub struct Cost {
     pub bytes_per_pixel: f64,
 }
 
+impl Cost {
+    /// One pass into a list of `layers` nodes of depth and RGBA8 colour (8 bytes), and `more` bytes besides.
+    #[expect(clippy::cast_precision_loss, reason = "a cost estimate")]
+    pub fn list(layers: usize, more: f64) -> Self {
+        Self { geometry_passes: 1.0, bytes_per_pixel: 8.0 * layers as f64 + more }
+    }
+}
+
 /// What a technique promises under its params; tests check every claim.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Properties {

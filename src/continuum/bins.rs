@@ -1,7 +1,7 @@
 //! Depth bins, each a blended layer of its own.
 
+use super::normalize::Core;
 use super::sums::BlendSums;
-use glam::DVec3;
 
 /// Bins that one pass of layered rendering fills (FEE21 §4: 32 geometry shader instances).
 pub const BATCH: usize = 32;
@@ -46,17 +46,6 @@ pub struct Bins {
     touched: Vec<u32>,
 }
 
-/// Bins composited front to back.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Layers {
-    /// Premultiplied colour.
-    pub color: DVec3,
-    /// How much of the background `color` covers: the denominator of FEE21 eq. 4, summed as it telescopes.
-    pub coverage: f64,
-    /// The background's share, the product of all bins'.
-    pub transmittance: f64,
-}
-
 impl Bins {
     /// Makes room for `count` empty bins.
     pub fn reset(&mut self, count: usize) {
@@ -71,12 +60,12 @@ impl Bins {
     }
 
     /// Composites the bins front to back, batch by batch (FEE21 eq. 4), and empties them.
-    pub fn under_blend(&mut self) -> Layers {
-        let mut layers = Layers { color: DVec3::ZERO, coverage: 0.0, transmittance: 1.0 };
+    pub fn under_blend(&mut self) -> Core {
+        let mut layers = Core::CLEAR;
         for (batch, touched) in self.touched.iter_mut().enumerate() {
             while *touched != 0 {
                 let bin = &mut self.sums[batch * BATCH + touched.trailing_zeros() as usize];
-                layers.put_behind(bin);
+                layers.put_bin_behind(bin);
                 *bin = BlendSums::CLEAR;
                 *touched &= *touched - 1;
             }
@@ -85,8 +74,8 @@ impl Bins {
     }
 }
 
-impl Layers {
-    fn put_behind(&mut self, bin: &BlendSums) {
+impl Core {
+    fn put_bin_behind(&mut self, bin: &BlendSums) {
         if let Some(average) = bin.average() {
             let share = self.transmittance * bin.coverage();
             self.color += share * average;
@@ -99,6 +88,7 @@ impl Layers {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use glam::DVec3;
 
     #[test]
     fn bin_functions_are_the_papers() {

@@ -3,7 +3,11 @@
 pub mod absorbance;
 pub mod binned;
 pub mod bins;
-pub mod masks;
+pub mod insertion;
+pub mod layers;
+pub mod merge;
+pub mod normalize;
+pub mod opacity;
 pub mod oracle;
 pub mod range;
 pub mod sums;

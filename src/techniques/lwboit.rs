@@ -2,9 +2,10 @@
 //! depth bins, `over` between them.
 
 use crate::continuum::absorbance::{S_MAX, absorbance};
-use crate::continuum::bins::{BATCH, BinFunction, Bins, Layers, REACH, SUPPORT};
+use crate::continuum::bins::{BATCH, BinFunction, Bins, REACH, SUPPORT};
+use crate::continuum::normalize::{Core, sums_of_all};
 use crate::continuum::range::DepthRange;
-use crate::continuum::sums::{BlendSums, blend};
+use crate::continuum::sums::BlendSums;
 use crate::error::Result;
 use crate::fragments::List;
 use crate::params::{Kind, ParamSpec, Params, Value, View};
@@ -269,18 +270,12 @@ impl LayeredWboit {
     }
 
     /// FEE21 eq. 4, with `normalize` at the coverage of all fragments together (§3.3).
-    fn composite(&self, layers: &Layers, list: List<'_>, background: DVec3) -> Resolved {
+    fn composite(&self, layers: &Core, list: List<'_>, background: DVec3) -> Resolved {
         if !self.normalize {
-            return blend(layers.color, 1.0, layers.transmittance, background);
+            return layers.over(background);
         }
-        if layers.coverage == 0.0 {
-            return Resolved::background(background);
-        }
-        let mut net = BlendSums::CLEAR;
-        for (&color, &alpha) in list.color.iter().zip(list.alpha) {
-            net.add(1.0, color, alpha);
-        }
-        net.cover(layers.color / layers.coverage, background)
+        let net = sums_of_all(list);
+        layers.scale_to(&BlendSums::CLEAR, net.coverage(), net.transmittance(), background)
     }
 
     /// The fragments that the storage has room for.

@@ -10,6 +10,7 @@ pub mod alpha_compositing;
 pub mod blended_oit;
 pub mod depth_peeling;
 pub mod lwboit;
+pub mod mlab;
 pub mod opacity_shadow_maps;
 pub mod painter;
 pub mod wboit;
@@ -27,6 +28,7 @@ pub static REGISTRY: &[&Info] = &[
     &weighted_average::INFO,
     &blended_oit::INFO,
     &wboit::INFO,
+    &mlab::INFO,
     &lwboit::INFO,
 ];
 

@@ -1,0 +1,225 @@
+//! Lists of k layers: fragments stream into nodes sorted by (depth, primitive) under one choice of each axis
+//! (sheet 2.3). A technique names its choices; everything is monomorphised.
+
+use super::insertion::{Arrival, Insertion};
+use super::merge::Merge;
+use super::normalize::Normalize;
+use super::opacity::Opacity;
+use super::oracle::{Composite, Oracle};
+use crate::fragments::Fragment;
+use crate::order::sort_key;
+use crate::technique::{Cost, DepthComplexity, Pixel, Properties, Resolved, Technique};
+
+/// A stored layer.
+#[derive(Debug, Clone)]
+pub struct Node<P> {
+    /// (depth, primitive) as one ordered integer; of the nearer one where two were merged.
+    pub key: u64,
+    /// The place in the pixel's list of the fragment it began as.
+    pub source: u32,
+    /// What it looks like.
+    pub paint: P,
+}
+
+impl<P> Node<P> {
+    /// View-space distance.
+    pub fn depth(&self) -> f64 {
+        let bits = (self.key >> 32) as u32;
+        f32::from_bits(bits).into()
+    }
+    /// Moves the node, which keeps its primitive.
+    pub fn set_depth(&mut self, depth: f64) {
+        #[expect(clippy::cast_possible_truncation, reason = "depths are stored in f32; the key's lower half")]
+        let (depth, primitive) = (depth as f32, self.key as u32);
+        self.key = sort_key(depth, primitive);
+    }
+}
+
+/// Where in a list sorted by key a newcomer belongs: behind its equals.
+pub fn place_of<P>(nodes: &[Node<P>], key: u64) -> usize {
+    nodes.partition_point(|node| node.key <= key)
+}
+
+/// A choice on the axes that shape the list itself.
+#[derive(Debug, Clone, Copy)]
+pub struct Stream<I, M, O> {
+    /// Which fragments enter.
+    pub insertion: I,
+    /// What gives way on overflow.
+    pub merge: M,
+    /// How layers cover.
+    pub opacity: O,
+    /// k, the number of nodes.
+    pub layers: usize,
+}
+
+/// One pixel's list.
+#[derive(Debug)]
+pub struct Stored<P, S> {
+    /// The nodes, nearest first.
+    pub nodes: Vec<Node<P>>,
+    /// The places in the pixel's list of the fragments that were refused or discarded.
+    pub lost: Vec<u32>,
+    state: S,
+}
+
+impl<P, S: Default> Default for Stored<P, S> {
+    fn default() -> Self {
+        Self { nodes: Vec::new(), lost: Vec::new(), state: S::default() }
+    }
+}
+
+impl<I: Insertion<O>, M: Merge<O>, O: Opacity> Stream<I, M, O> {
+    /// Streams the pixel's fragments, in submission order, into an empty list.
+    pub fn store(&self, pixel: &Pixel<'_>, stored: &mut Stored<O::Paint, I::State>) {
+        stored.nodes.clear();
+        stored.lost.clear();
+        self.merge.begin(&self.opacity, &mut stored.nodes);
+        self.insertion.begin(&mut stored.state);
+        for (source, fragment) in (0..).zip(pixel.list.iter()) {
+            self.receive(pixel, &fragment, source, stored);
+        }
+    }
+
+    fn receive(
+        &self,
+        pixel: &Pixel<'_>,
+        fragment: &Fragment,
+        source: u32,
+        stored: &mut Stored<O::Paint, I::State>,
+    ) {
+        let Stored { nodes, lost, state } = stored;
+        let key = sort_key(fragment.depth, fragment.primitive);
+        let at = place_of(nodes, key);
+        let arrival = Arrival { pixel, fragment, key, in_front: &nodes[..at], opacity: &self.opacity };
+        let Some(paint) = self.insertion.admit(&arrival, state) else {
+            lost.push(source);
+            return;
+        };
+        nodes.insert(at, Node { key, source, paint });
+        self.opacity.occlude(nodes, at);
+        if nodes.len() > self.layers.saturating_add(M::EXTRA_NODES) {
+            lost.extend(self.merge.make_room(&self.opacity, nodes, at));
+        }
+    }
+
+    /// The step function of what is stored, strictly in front of each depth.
+    fn steps(&self, nodes: &[Node<O::Paint>], depths: &[f32]) -> Vec<f64> {
+        let in_front = |depth: f32| nodes.partition_point(|node| node.key < sort_key(depth, 0));
+        depths.iter().map(|&depth| self.opacity.transmittance(&nodes[..in_front(depth)])).collect()
+    }
+}
+
+/// A technique that composites the layers it stored (`accumulate="stored"`).
+pub struct StoredLayers<I, M, O, N> {
+    /// How layers are stored.
+    pub stream: Stream<I, M, O>,
+    /// What is done about the others.
+    pub normalize: N,
+    /// The modelled cost.
+    pub cost: Cost,
+    /// The promises.
+    pub properties: Properties,
+}
+
+/// One pixel's list and, where the tail is weighted, its weights.
+pub struct StoredScratch<P, S> {
+    stored: Stored<P, S>,
+    weights: Vec<f32>,
+}
+
+impl<P, S: Default> Default for StoredScratch<P, S> {
+    fn default() -> Self {
+        Self { stored: Stored::default(), weights: Vec::new() }
+    }
+}
+
+impl<I: Insertion<O>, M: Merge<O>, O: Opacity, N: Normalize> Technique for StoredLayers<I, M, O, N> {
+    type Scratch = StoredScratch<O::Paint, I::State>;
+    const SEES_ZERO_FRAGMENTS: bool = N::SEES_ZERO_FRAGMENTS;
+
+    fn resolve(&self, pixel: &Pixel<'_>, scratch: &mut Self::Scratch) -> Resolved {
+        let StoredScratch { stored, weights } = scratch;
+        self.stream.store(pixel, stored);
+        let core = self.stream.opacity.composite(&stored.nodes);
+        self.normalize.resolve(pixel, &core, &stored.lost, weights)
+    }
+
+    fn transmittance(
+        &self,
+        pixel: &Pixel<'_>,
+        depths: &[f32],
+        scratch: &mut Self::Scratch,
+    ) -> Option<Vec<f64>> {
+        self.stream.store(pixel, &mut scratch.stored);
+        Some(self.stream.steps(&scratch.stored.nodes, depths))
+    }
+
+    fn cost(&self, _complexity: &DepthComplexity) -> Cost {
+        self.cost
+    }
+
+    fn properties(&self) -> Properties {
+        self.properties
+    }
+}
+
+/// The step function of stored layers, for a second pass over all fragments (`accumulate="all"`).
+pub struct StoredSteps<I, M, O> {
+    /// How layers are stored.
+    pub stream: Stream<I, M, O>,
+    /// The modelled cost, both passes together.
+    pub cost: Cost,
+    /// The promises under each composite.
+    pub properties: fn(Composite) -> Properties,
+}
+
+/// A pixel's step function.
+pub struct Steps<P, S> {
+    stored: Stored<P, S>,
+    /// Each node's key and the transmittance just behind it.
+    behind: Vec<(u64, f64)>,
+}
+
+impl<P, S: Default> Default for Steps<P, S> {
+    fn default() -> Self {
+        Self { stored: Stored::default(), behind: Vec::new() }
+    }
+}
+
+impl<P, S> Steps<P, S> {
+    fn before(&self, key: u64) -> f64 {
+        let in_front = self.behind.partition_point(|step| step.0 < key);
+        in_front.checked_sub(1).map_or(1.0, |last| self.behind[last].1)
+    }
+}
+
+impl<I: Insertion<O>, M: Merge<O>, O: Opacity> Oracle for StoredSteps<I, M, O> {
+    type Map = Steps<O::Paint, I::State>;
+
+    fn build(&self, pixel: &Pixel<'_>, map: &mut Self::Map) {
+        self.stream.store(pixel, &mut map.stored);
+        let opacity = &self.stream.opacity;
+        let mut shown = opacity.clear();
+        map.behind.clear();
+        for node in &map.stored.nodes {
+            shown = opacity.behind(shown, &node.paint);
+            map.behind.push((node.key, shown / opacity.clear()));
+        }
+    }
+    fn in_front_of(&self, map: &Self::Map, fragment: &Fragment) -> f64 {
+        map.before(sort_key(fragment.depth, fragment.primitive))
+    }
+    fn at(&self, map: &Self::Map, depth: f32) -> f64 {
+        map.before(sort_key(depth, 0))
+    }
+    fn total(&self, map: &Self::Map) -> f64 {
+        map.behind.last().map_or(1.0, |step| step.1)
+    }
+    fn cost(&self, _complexity: &DepthComplexity) -> Cost {
+        self.cost
+    }
+    fn properties(&self, composite: Composite) -> Properties {
+        (self.properties)(composite)
+    }
+}
