@@ -238,6 +238,8 @@ fn default_promises_are_the_sheets() {
         ("wboit", promises([true, false, true, true, true])),
         ("lwboit", promises([true, false, true, true, true])),
         ("opacity_shadow_maps", promises([true, true, false, false, false])),
+        ("deep_shadow_maps", promises([true, true, false, false, false])),
+        ("avsm", promises([false, true, true, false, true])),
     ];
     for (id, expected) in table {
         let variant = Variant::new(find(id).unwrap(), &[]).unwrap();

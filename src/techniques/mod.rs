@@ -7,7 +7,9 @@ use crate::technique::{AnyTechnique, Info};
 
 pub mod a_buffer;
 pub mod alpha_compositing;
+pub mod avsm;
 pub mod blended_oit;
+pub mod deep_shadow_maps;
 pub mod depth_peeling;
 pub mod lwboit;
 pub mod mlab;
@@ -23,7 +25,9 @@ pub static REGISTRY: &[&Info] = &[
     &alpha_compositing::INFO,
     &painter::INFO,
     &depth_peeling::INFO,
+    &deep_shadow_maps::INFO,
     &opacity_shadow_maps::INFO,
+    &avsm::INFO,
     &weighted_sum::INFO,
     &weighted_average::INFO,
     &blended_oit::INFO,
