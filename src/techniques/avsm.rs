@@ -198,7 +198,8 @@ mod tests {
     #[test]
     fn full_curves_depend_on_the_order_of_arrival() {
         let pixel = &mut clear_pixels(1)[0];
-        let color = |layers, pixel: &[Fragment]| resolve("avsm", &[("layers", Input::Int(layers))], pixel).color;
+        let color =
+            |layers, pixel: &[Fragment]| resolve("avsm", &[("layers", Input::Int(layers))], pixel).color;
         let before = [2, 4, 16].map(|layers| color(layers, pixel));
         pixel.reverse();
         let moved = [0, 1, 2].map(|i| (color([2, 4, 16][i], pixel) - before[i]).abs().max_element());
