@@ -12,4 +12,6 @@ pub mod opacity;
 pub mod oracle;
 pub mod polyline;
 pub mod range;
+pub mod samples;
+pub mod steps;
 pub mod sums;

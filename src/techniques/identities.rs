@@ -231,6 +231,11 @@ fn default_promises_are_the_sheets() {
         ("a_buffer", Properties::EXACT),
         ("depth_peeling", Properties::EXACT),
         ("alpha_compositing", promises([false, false, true, true, true])),
+        ("screen_door", promises([true, false, false, false, false])),
+        (
+            "stochastic_transparency",
+            Properties { unbiased: true, ..promises([true, true, false, false, false]) },
+        ),
         ("painter", promises([true, false, true, true, true])),
         ("weighted_sum", promises([true, false, true, false, false])),
         ("weighted_average", promises([true, false, true, false, false])),

@@ -15,6 +15,8 @@ pub mod lwboit;
 pub mod mlab;
 pub mod opacity_shadow_maps;
 pub mod painter;
+pub mod screen_door;
+pub mod stochastic_transparency;
 pub mod wboit;
 pub mod weighted_average;
 pub mod weighted_sum;
@@ -24,12 +26,14 @@ pub static REGISTRY: &[&Info] = &[
     &a_buffer::INFO,
     &alpha_compositing::INFO,
     &painter::INFO,
+    &screen_door::INFO,
     &depth_peeling::INFO,
     &deep_shadow_maps::INFO,
     &opacity_shadow_maps::INFO,
     &avsm::INFO,
     &weighted_sum::INFO,
     &weighted_average::INFO,
+    &stochastic_transparency::INFO,
     &blended_oit::INFO,
     &wboit::INFO,
     &mlab::INFO,
@@ -87,5 +91,7 @@ pub const ANY_ORDER: &[&str] = SUBMISSION_ORDERS;
 
 #[cfg(test)]
 mod identities;
+#[cfg(test)]
+pub(crate) mod statistics;
 #[cfg(test)]
 pub(crate) mod testing;

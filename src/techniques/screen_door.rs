@@ -1,0 +1,177 @@
+//! Screen-door transparency (Fuchs et al. 1985) by alpha to coverage: the same samples for the same alpha.
+
+use crate::continuum::samples::{Shown, uncovered, unmultiplied};
+use crate::continuum::steps::Steps;
+use crate::error::Result;
+use crate::fragments::{Fragment, List};
+use crate::order::sort_key;
+use crate::params::{Kind, ParamSpec, Params, Value, View};
+use crate::technique::{
+    AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties, Resolved, Technique,
+};
+use crate::techniques::ANY_ORDER;
+
+/// The registry entry.
+pub static INFO: Info = Info {
+    id: "screen_door",
+    aliases: &[],
+    name: "Screen-door transparency",
+    citation: &["Fuchs1985", "Mulder1998"],
+    doc: "A fragment covers those of a pixel's samples whose fixed threshold its alpha exceeds, and each sample \
+          shows its nearest fragment. Masks are nested, so of two layers of one alpha the nearer hides the \
+          other altogether, however many samples there are.",
+    axes: Axes {
+        memory: "k z-samples",
+        insertion: "always",
+        merge: "z-test, discard occluded",
+        normalize: "no",
+        opacity: "coverage",
+    },
+    params: &[ParamSpec::new(
+        "samples",
+        Kind::at_least(1),
+        Value::Int(16),
+        "depth and colour samples per pixel",
+    )],
+    submission_orders: ANY_ORDER,
+    random: false,
+    geometry_passes: "1",
+    bytes_per_pixel: "8 samples (a depth and a colour each)",
+    build,
+};
+
+fn build(params: &Params, _view: &View) -> Result<Box<dyn AnyTechnique>> {
+    Ok(Box::new(ScreenDoor { samples: params.size("samples") }))
+}
+
+struct ScreenDoor {
+    samples: usize,
+}
+
+impl ScreenDoor {
+    /// How many thresholds `θ_s` = (s + ½) / S an alpha exceeds. Which samples these are does not matter, as long
+    /// as it is the same ones every time.
+    #[expect(
+        clippy::cast_precision_loss,
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        reason = "0 <= a S <= S"
+    )]
+    fn coverage(&self, alpha: f32) -> usize {
+        (f64::from(alpha) * self.samples as f64 - 0.5).ceil().max(0.0) as usize
+    }
+
+    /// Calls `show` with every fragment that some sample shows, nearest first, with how many do and how many
+    /// are covered then. A fragment that covers more samples than those in front shows in the surplus.
+    fn each_shown(&self, sorted: List<'_>, mut show: impl FnMut(&Fragment, usize, usize)) {
+        let mut covered = 0;
+        for fragment in sorted.iter() {
+            let coverage = self.coverage(fragment.alpha);
+            if coverage > covered {
+                show(&fragment, coverage - covered, coverage);
+                covered = coverage;
+            }
+        }
+    }
+}
+
+impl Technique for ScreenDoor {
+    type Scratch = ();
+    const NEEDS_SORTED: bool = true;
+
+    fn resolve(&self, pixel: &Pixel<'_>, (): &mut ()) -> Resolved {
+        let mut shown = Shown::BACKGROUND;
+        self.each_shown(pixel.sorted, |fragment, visible, _| shown.add(visible, unmultiplied(fragment)));
+        shown.over(self.samples, pixel.background)
+    }
+
+    fn transmittance(&self, pixel: &Pixel<'_>, depths: &[f32], (): &mut ()) -> Option<Vec<f64>> {
+        let mut steps = Steps::default();
+        self.each_shown(pixel.sorted, |fragment, _, covered| {
+            steps.push(sort_key(fragment.depth, fragment.primitive), uncovered(covered, self.samples));
+        });
+        Some(depths.iter().map(|&depth| steps.at(depth)).collect())
+    }
+
+    #[expect(clippy::cast_precision_loss, reason = "a cost estimate")]
+    fn cost(&self, _complexity: &DepthComplexity) -> Cost {
+        Cost { geometry_passes: 1.0, bytes_per_pixel: 8.0 * self.samples as f64 }
+    }
+
+    fn properties(&self) -> Properties {
+        Properties { order_independent: true, ..Properties::NONE }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::params::Input;
+    use crate::technique::Resolved;
+    use crate::techniques::testing::{
+        BACKGROUND, as_pixel, assert_close, build, fragment, over, random_pixel, resolve, three_layers,
+    };
+    use glam::{DVec3, Vec3};
+
+    /// Rounding of u = C / a, with C and a rounded to f32.
+    const UNMULTIPLIED: f64 = 1e-6;
+
+    fn screen_door(samples: i64, pixel: &[crate::fragments::Fragment]) -> Resolved {
+        resolve("screen_door", &[("samples", Input::Int(samples))], pixel)
+    }
+
+    #[test]
+    fn three_layers_by_hand() {
+        // alphas .25, .5, .75 from the front: four samples each, on top of the nearer ones
+        let [middle, front, back] = [[0.1, 0.9, 0.2], [1.0, 0.3, 0.1], [0.2, 0.1, 1.0]].map(DVec3::from);
+        let expected = 0.25 * (front + middle + back + Vec3::from(BACKGROUND).as_dvec3());
+        assert_close(screen_door(16, &three_layers()), expected, 0.25, UNMULTIPLIED);
+    }
+
+    #[test]
+    fn of_two_equal_layers_the_nearer_one_shows() {
+        let (front, behind) = ([0.9, 0.2, 0.5], [0.1, 0.8, 0.3]);
+        for samples in [1, 2, 7, 16, 64, 1000] {
+            for percent in 1..100_u8 {
+                let alpha = f32::from(percent) / 100.0;
+                let pixel = [fragment(3.0, behind, alpha, 0), fragment(2.0, front, alpha, 1)];
+                let got = screen_door(samples, &pixel);
+                let shown = 1.0 - got.transmittance.x;
+                #[expect(clippy::cast_precision_loss, reason = "small")]
+                let rounding = 0.5 / samples as f64 + 1e-15;
+                assert!((shown - f64::from(alpha)).abs() <= rounding, "{samples} {alpha}: {shown}");
+                let colors = [DVec3::from(front.map(f64::from)), Vec3::from(BACKGROUND).as_dvec3()];
+                let expected = shown * colors[0] + (1.0 - shown) * colors[1];
+                assert_close(got, expected, 1.0 - shown, UNMULTIPLIED);
+            }
+        }
+    }
+
+    #[test]
+    fn the_background_shows_where_the_largest_alpha_leaves_it() {
+        for n in 1..40 {
+            let mut pixel = random_pixel(n, n.into());
+            pixel.iter_mut().for_each(|f| f.alpha *= 0.9);
+            let most = pixel.iter().map(|f| f64::from(f.alpha)).fold(0.0, f64::max);
+            let shown = screen_door(100_000, &pixel).transmittance.x;
+            assert!((shown - (1.0 - most)).abs() <= 0.5e-5 + 1e-15, "{shown} {most}");
+        }
+    }
+
+    #[test]
+    fn opaque_fragments_are_exact() {
+        let mut pixel = random_pixel(20, 3);
+        for f in &mut pixel {
+            *f = fragment(f.depth, f.color, 1.0, f.primitive);
+        }
+        let (color, transmittance) = over(&pixel);
+        assert_close(screen_door(16, &pixel), color, transmittance, 1e-15);
+    }
+
+    #[test]
+    fn the_transmittance_has_a_step_where_more_samples_are_covered() {
+        let technique = build("screen_door", &[]).unwrap();
+        let depths = [2.0, 3.0, 4.0, 5.0, 9.0];
+        let steps = as_pixel(&three_layers(), |pixel| technique.transmittance(pixel, &depths));
+        assert_eq!(steps.unwrap(), [1.0, 0.75, 0.75, 0.5, 0.25]);
+    }
+}
