@@ -243,6 +243,9 @@ fn default_promises_are_the_sheets() {
         ("wboit", promises([true, false, true, true, true])),
         ("lwboit", promises([true, false, true, true, true])),
         ("opacity_shadow_maps", promises([true, true, false, false, false])),
+        ("density_clustering", promises([true, false, false, false, false])),
+        ("deep_opacity_maps", promises([true, false, false, false, false])),
+        ("occupancy_maps", promises([true, false, false, false, false])),
         ("deep_shadow_maps", promises([true, true, false, false, false])),
         ("avsm", promises([false, true, true, false, true])),
     ];

@@ -9,10 +9,13 @@ pub mod a_buffer;
 pub mod alpha_compositing;
 pub mod avsm;
 pub mod blended_oit;
+pub mod deep_opacity_maps;
 pub mod deep_shadow_maps;
+pub mod density_clustering;
 pub mod depth_peeling;
 pub mod lwboit;
 pub mod mlab;
+pub mod occupancy_maps;
 pub mod opacity_shadow_maps;
 pub mod painter;
 pub mod screen_door;
@@ -30,6 +33,9 @@ pub static REGISTRY: &[&Info] = &[
     &depth_peeling::INFO,
     &deep_shadow_maps::INFO,
     &opacity_shadow_maps::INFO,
+    &density_clustering::INFO,
+    &deep_opacity_maps::INFO,
+    &occupancy_maps::INFO,
     &avsm::INFO,
     &weighted_sum::INFO,
     &weighted_average::INFO,

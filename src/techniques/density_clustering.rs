@@ -1,0 +1,261 @@
+//! Density clustering (Mertens et al. 2004): k-means along the ray; each cluster absorbs evenly over its depths.
+
+use crate::continuum::absorbance::{S_MAX, absorbance, transmittance};
+use crate::continuum::oracle::{Composite, Oracle, TwoPass};
+use crate::error::Result;
+use crate::fragments::Fragment;
+use crate::params::{Kind, ParamSpec, Params, Value, View};
+use crate::technique::{AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties};
+use crate::techniques::ANY_ORDER;
+
+/// The registry entry.
+pub static INFO: Info = Info {
+    id: "density_clustering",
+    aliases: &[],
+    name: "Density Clustering",
+    citation: &["Mertens2004"],
+    doc: "Gathers a pixel's fragments in clusters of depth by a few iterations of k-means, one pass each; a \
+          cluster's absorbance is spread evenly over a depth interval of the same mean and variance.",
+    axes: Axes {
+        memory: "k bins",
+        insertion: "always",
+        merge: "k-means clustering",
+        normalize: "no",
+        opacity: "alpha",
+    },
+    params: &[
+        ParamSpec::new("bins", Kind::at_least(1), Value::Int(4), "clusters"),
+        ParamSpec::new("iterations", Kind::at_least(1), Value::Int(3), "iterations of k-means"),
+        S_MAX,
+        Composite::param("none"),
+    ],
+    submission_orders: ANY_ORDER,
+    random: false,
+    geometry_passes: "2 + iterations",
+    bytes_per_pixel: "12 bins + 8 + 10",
+    build,
+};
+
+fn build(params: &Params, _view: &View) -> Result<Box<dyn AnyTechnique>> {
+    let oracle = DensityClustering {
+        clusters: params.size("bins"),
+        iterations: params.size("iterations"),
+        s_max: params.float("s_max"),
+    };
+    Ok(Box::new(TwoPass { oracle, composite: Composite::from_params(params) }))
+}
+
+/// A cluster narrower than this part of the pixel's depths is a step; as far behind it lies what it hides.
+const SLACK: f64 = 1e-4;
+
+/// Absorbance-weighted k-means along the ray.
+struct DensityClustering {
+    clusters: usize,
+    iterations: usize,
+    s_max: f64,
+}
+
+/// Moments of a cluster's absorbance about the pixel's nearest depth.
+#[derive(Debug, Clone, Copy, Default)]
+struct Cluster {
+    center: f64,
+    s: f64,
+    sd: f64,
+    sdd: f64,
+}
+
+impl Cluster {
+    fn add(&mut self, s: f64, d: f64) {
+        self.s += s;
+        self.sd += s * d;
+        self.sdd += s * d * d;
+    }
+
+    /// What hides a point: a uniform density of the same mean and variance.
+    fn in_front_of(&self, d: f64) -> f64 {
+        let behind = d - self.center;
+        let deviation =
+            if self.s > 0.0 { (self.sdd / self.s - self.center * self.center).max(0.0).sqrt() } else { 0.0 };
+        if deviation < SLACK {
+            return if behind > SLACK { self.s } else { 0.0 };
+        }
+        self.s * (behind / (2.0 * 3.0_f64.sqrt() * deviation) + 0.5).clamp(0.0, 1.0)
+    }
+}
+
+/// One pixel's clusters, by depth.
+#[derive(Debug, Default)]
+struct Map {
+    near: f64,
+    extent: f64,
+    clusters: Vec<Cluster>,
+}
+
+impl Map {
+    /// Depth behind the nearest fragment, in units of the pixel's depth range. Behind a single depth all is far.
+    fn position(&self, depth: f32) -> f64 {
+        let behind = f64::from(depth) - self.near;
+        if behind == 0.0 { 0.0 } else { behind / self.extent }
+    }
+
+    /// The cluster with the nearest centre, the nearer to the camera of two. Centres stay in order: each moves
+    /// within the interval that is nearest to it.
+    fn nearest(&self, d: f64) -> usize {
+        let behind = self.clusters.partition_point(|c| c.center < d);
+        let distance = |i: usize| (self.clusters[i].center - d).abs();
+        match behind {
+            0 => 0,
+            i if i == self.clusters.len() || distance(i - 1) <= distance(i) => i - 1,
+            i => i,
+        }
+    }
+
+    fn absorbance_in_front_of(&self, d: f64) -> f64 {
+        self.clusters.iter().map(|c| c.in_front_of(d)).sum()
+    }
+}
+
+impl DensityClustering {
+    /// One pass: every fragment to the nearest centre, then every centre to the mean of what it got.
+    fn iterate(&self, pixel: &Pixel<'_>, map: &mut Map) {
+        for cluster in &mut map.clusters {
+            *cluster = Cluster { center: cluster.center, ..Cluster::default() };
+        }
+        for (&depth, &alpha) in pixel.list.depth.iter().zip(pixel.list.alpha) {
+            let d = map.position(depth);
+            let own = map.nearest(d);
+            map.clusters[own].add(absorbance(alpha, self.s_max), d);
+        }
+        for cluster in map.clusters.iter_mut().filter(|c| c.s > 0.0) {
+            cluster.center = cluster.sd / cluster.s;
+        }
+    }
+}
+
+impl Oracle for DensityClustering {
+    type Map = Map;
+
+    #[expect(clippy::cast_precision_loss, reason = "clusters are held in memory")]
+    fn build(&self, pixel: &Pixel<'_>, map: &mut Map) {
+        let (near, far) = pixel.list.depth_bounds().unwrap_or_default();
+        (map.near, map.extent) = (near.into(), f64::from(far) - f64::from(near));
+        let center = |j: usize| (j as f64 + 0.5) / self.clusters as f64;
+        map.clusters.clear();
+        map.clusters.extend((0..self.clusters).map(|j| Cluster { center: center(j), ..Cluster::default() }));
+        for _ in 0..self.iterations {
+            self.iterate(pixel, map);
+        }
+        map.clusters.retain(|c| c.s > 0.0);
+    }
+
+    fn in_front_of(&self, map: &Map, fragment: &Fragment) -> f64 {
+        self.at(map, fragment.depth)
+    }
+
+    fn at(&self, map: &Map, depth: f32) -> f64 {
+        transmittance(map.absorbance_in_front_of(map.position(depth)))
+    }
+
+    fn total(&self, map: &Map) -> f64 {
+        transmittance(map.clusters.iter().map(|c| c.s).sum())
+    }
+
+    #[expect(clippy::cast_precision_loss, reason = "a cost estimate")]
+    fn cost(&self, _complexity: &DepthComplexity) -> Cost {
+        Cost {
+            geometry_passes: 2.0 + self.iterations as f64,
+            bytes_per_pixel: 12.0 * self.clusters as f64 + 18.0,
+        }
+    }
+
+    fn properties(&self, composite: Composite) -> Properties {
+        composite.promises(true)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{DensityClustering, Map};
+    use crate::continuum::oracle::Oracle;
+    use crate::fragments::Fragment;
+    use crate::params::Input;
+    use crate::techniques::testing::{
+        F32_STATE, as_pixel, assert_close, clear_pixels, exact_transmittance, fragment, mean_error, over,
+        resolve,
+    };
+
+    fn oracle(clusters: usize, iterations: usize) -> DensityClustering {
+        DensityClustering { clusters, iterations, s_max: 10.0 }
+    }
+
+    fn map(clusters: usize, iterations: usize, fragments: &[Fragment]) -> Map {
+        let mut map = Map::default();
+        as_pixel(fragments, |pixel| oracle(clusters, iterations).build(pixel, &mut map));
+        map
+    }
+
+    fn layer(depth: f32, alpha: f32) -> Fragment {
+        fragment(depth, [0.3, 0.6, 0.9], alpha, 0)
+    }
+
+    #[test]
+    fn one_cluster_of_two_layers_by_hand() {
+        // two equal layers at 0 and 1: mean 1/2, deviation 1/2, spread over 1/2 ± √3/2
+        let layers = [layer(2.0, 0.5), layer(4.0, 0.5)];
+        let map = map(1, 1, &layers);
+        let share = |d: f64| ((d - 0.5) / 3.0_f64.sqrt() + 0.5).clamp(0.0, 1.0);
+        for (z, d) in [(2.0, 0.0), (2.5, 0.25), (4.0, 1.0), (9.0, 3.5), (0.5, -0.75)] {
+            let got = oracle(1, 1).at(&map, z);
+            assert!((got - 0.25_f64.powf(share(d))).abs() < 1e-14, "{z}: {got}");
+        }
+    }
+
+    #[test]
+    fn iterations_move_the_centres_to_the_clusters() {
+        // .51 begins nearer to .75 than to .25; then the opaque layer at 1 pulls that centre away
+        let layers =
+            [(0.0, 0.5), (0.2, 0.5), (0.51, 0.5), (1.0, 0.999)].map(|(z, alpha)| layer(2.0 + z, alpha));
+        let first = |iterations| map(2, iterations, &layers).clusters[0].center;
+        assert!((first(1) - 0.1).abs() < 1e-6, "{}", first(1));
+        assert!((first(2) - 0.71 / 3.0).abs() < 1e-6, "{}", first(2));
+        assert_eq!(first(3), first(2));
+    }
+
+    #[test]
+    fn one_fragment_in_each_first_cell_is_exact() {
+        for bins in [1_u8, 2, 5, 16] {
+            let alpha = |i: u8| 0.05 + 0.9 * f32::from(i * 7 % bins) / f32::from(bins);
+            let layers: Vec<_> = (0..bins).map(|i| layer(1.0 + f32::from(i), alpha(i))).collect();
+            let map = map(bins.into(), 3, &layers);
+            for (f, exact) in layers.iter().zip(exact_transmittance(&layers)) {
+                assert!((oracle(bins.into(), 3).in_front_of(&map, f) - exact).abs() < 1e-14, "{bins}: {f:?}");
+            }
+            let (color, transmittance) = over(&layers);
+            let got = resolve("density_clustering", &[("bins", Input::Int(bins.into()))], &layers);
+            assert_close(got, color, transmittance, F32_STATE);
+        }
+    }
+
+    #[test]
+    fn a_lone_fragment_does_not_hide_itself() {
+        for depth in [0.0, 0.1, 7.3, 1e-30, 1e30] {
+            let lone = [layer(depth, 0.7)];
+            let map = map(1, 1, &lone);
+            assert_eq!(oracle(1, 1).in_front_of(&map, &lone[0]), 1.0);
+            assert!((oracle(1, 1).at(&map, depth * 1.01 + 1e-30) - f64::from(1.0 - 0.7_f32)).abs() < 1e-7);
+        }
+    }
+
+    #[test]
+    fn emission_alone_forms_no_cluster() {
+        let glow = Fragment { alpha: 0.0, ..layer(3.0, 1.0) };
+        assert!(map(4, 3, &[glow, Fragment { depth: 5.0, ..glow }]).clusters.is_empty());
+    }
+
+    #[test]
+    fn more_clusters_are_closer() {
+        let pixels = clear_pixels(200);
+        let errors = [1, 2, 4, 8, 64].map(|clusters| mean_error(&oracle(clusters, 3), &pixels));
+        assert!(errors.is_sorted_by(|a, b| a > b) && errors[4] < 0.01, "{errors:?}");
+    }
+}
