@@ -89,6 +89,10 @@ impl<W: Words> Mask<W> {
     pub fn subtract(&mut self, other: &Self) {
         self.zip(other, |a, b| a & !b);
     }
+    /// Whether no sample is in it.
+    pub fn is_empty(&self) -> bool {
+        self.words.as_ref().iter().all(|w| *w == 0)
+    }
     /// How many samples are in it.
     pub fn count(&self) -> usize {
         self.words.as_ref().iter().map(|w| w.count_ones() as usize).sum()

@@ -3,6 +3,7 @@
 pub mod absorbance;
 pub mod binned;
 pub mod bins;
+pub mod coverage;
 pub mod insertion;
 pub mod layers;
 pub mod masks;
@@ -14,4 +15,5 @@ pub mod polyline;
 pub mod range;
 pub mod samples;
 pub mod steps;
+pub mod stochastic;
 pub mod sums;
