@@ -23,14 +23,13 @@ pub struct Node<P> {
 
 impl<P> Node<P> {
     /// View-space distance.
-    pub fn depth(&self) -> f64 {
-        let bits = (self.key >> 32) as u32;
-        f32::from_bits(bits).into()
+    pub fn depth(&self) -> f32 {
+        f32::from_bits((self.key >> 32) as u32)
     }
     /// Moves the node, which keeps its primitive.
-    pub fn set_depth(&mut self, depth: f64) {
-        #[expect(clippy::cast_possible_truncation, reason = "depths are stored in f32; the key's lower half")]
-        let (depth, primitive) = (depth as f32, self.key as u32);
+    pub fn set_depth(&mut self, depth: f32) {
+        #[expect(clippy::cast_possible_truncation, reason = "the key's lower half")]
+        let primitive = self.key as u32;
         self.key = sort_key(depth, primitive);
     }
 }
@@ -60,6 +59,7 @@ pub struct Stored<P, S> {
     pub nodes: Vec<Node<P>>,
     /// The places in the pixel's list of the fragments that were refused or discarded.
     pub lost: Vec<u32>,
+    /// What insertion and merge remember.
     state: S,
 }
 
@@ -69,13 +69,16 @@ impl<P, S: Default> Default for Stored<P, S> {
     }
 }
 
+/// What the insertion `I` and the merge `M` remember of a pixel.
+type States<I, M, O> = (<I as Insertion<O>>::State, <M as Merge<O>>::State);
+
 impl<I: Insertion<O>, M: Merge<O>, O: Opacity> Stream<I, M, O> {
     /// Streams the pixel's fragments, in submission order, into an empty list.
-    pub fn store(&self, pixel: &Pixel<'_>, stored: &mut Stored<O::Paint, I::State>) {
+    pub fn store(&self, pixel: &Pixel<'_>, stored: &mut Stored<O::Paint, States<I, M, O>>) {
         stored.nodes.clear();
         stored.lost.clear();
-        self.merge.begin(&self.opacity, &mut stored.nodes);
-        self.insertion.begin(&mut stored.state);
+        self.insertion.begin(&mut stored.state.0);
+        self.merge.begin(&self.opacity, pixel, &mut stored.nodes, &mut stored.state.1);
         for (source, fragment) in (0..).zip(pixel.list.iter()) {
             self.receive(pixel, &fragment, source, stored);
         }
@@ -86,20 +89,20 @@ impl<I: Insertion<O>, M: Merge<O>, O: Opacity> Stream<I, M, O> {
         pixel: &Pixel<'_>,
         fragment: &Fragment,
         source: u32,
-        stored: &mut Stored<O::Paint, I::State>,
+        stored: &mut Stored<O::Paint, States<I, M, O>>,
     ) {
-        let Stored { nodes, lost, state } = stored;
+        let Stored { nodes, lost, state: (insertion, merge) } = stored;
         let key = sort_key(fragment.depth, fragment.primitive);
         let at = place_of(nodes, key);
         let arrival = Arrival { pixel, fragment, key, in_front: &nodes[..at], opacity: &self.opacity };
-        let Some(paint) = self.insertion.admit(&arrival, state) else {
+        let Some(paint) = self.insertion.admit(&arrival, insertion) else {
             lost.push(source);
             return;
         };
         nodes.insert(at, Node { key, source, paint });
         self.opacity.occlude(nodes, at);
-        if nodes.len() > self.layers.saturating_add(M::EXTRA_NODES) {
-            lost.extend(self.merge.make_room(&self.opacity, nodes, at));
+        if self.merge.is_overfull(nodes, at, self.layers, merge) {
+            lost.extend(self.merge.make_room(&self.opacity, nodes, at, merge));
         }
     }
 
@@ -135,7 +138,7 @@ impl<P, S: Default> Default for StoredScratch<P, S> {
 }
 
 impl<I: Insertion<O>, M: Merge<O>, O: Opacity, N: Normalize> Technique for StoredLayers<I, M, O, N> {
-    type Scratch = StoredScratch<O::Paint, I::State>;
+    type Scratch = StoredScratch<O::Paint, States<I, M, O>>;
     const SEES_ZERO_FRAGMENTS: bool = N::SEES_ZERO_FRAGMENTS;
 
     fn resolve(&self, pixel: &Pixel<'_>, scratch: &mut Self::Scratch) -> Resolved {
@@ -170,8 +173,8 @@ pub struct StoredSteps<I, M, O> {
     pub stream: Stream<I, M, O>,
     /// The modelled cost, both passes together.
     pub cost: Cost,
-    /// The promises under each composite.
-    pub properties: fn(Composite) -> Properties,
+    /// The promises.
+    pub properties: Properties,
 }
 
 /// A pixel's step function.
@@ -195,7 +198,7 @@ impl<P, S> Steps<P, S> {
 }
 
 impl<I: Insertion<O>, M: Merge<O>, O: Opacity> Oracle for StoredSteps<I, M, O> {
-    type Map = Steps<O::Paint, I::State>;
+    type Map = Steps<O::Paint, States<I, M, O>>;
 
     fn build(&self, pixel: &Pixel<'_>, map: &mut Self::Map) {
         self.stream.store(pixel, &mut map.stored);
@@ -219,7 +222,7 @@ impl<I: Insertion<O>, M: Merge<O>, O: Opacity> Oracle for StoredSteps<I, M, O> {
     fn cost(&self, _complexity: &DepthComplexity) -> Cost {
         self.cost
     }
-    fn properties(&self, composite: Composite) -> Properties {
-        (self.properties)(composite)
+    fn properties(&self, _composite: Composite) -> Properties {
+        self.properties
     }
 }

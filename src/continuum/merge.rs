@@ -2,18 +2,45 @@
 
 use super::layers::Node;
 use super::opacity::Opacity;
+use super::range::{DepthRange, Interval, cell};
+use crate::technique::Pixel;
 
 /// What happens on overflow.
 pub trait Merge<O: Opacity>: Send + Sync + 'static {
+    /// What must be known of the pixel.
+    type State: Default;
     /// Nodes that the list holds besides its layers.
     const EXTRA_NODES: usize = 0;
 
     /// Prepares an empty list.
-    fn begin(&self, _opacity: &O, _nodes: &mut Vec<Node<O::Paint>>) {}
+    fn begin(
+        &self,
+        _opacity: &O,
+        _pixel: &Pixel<'_>,
+        _nodes: &mut Vec<Node<O::Paint>>,
+        _state: &mut Self::State,
+    ) {
+    }
 
-    /// Removes one of `nodes`, of which `nodes[newcomer]` came last. Returns the source of a node that is
-    /// lost.
-    fn make_room(&self, opacity: &O, nodes: &mut Vec<Node<O::Paint>>, newcomer: usize) -> Option<u32>;
+    /// Whether `nodes`, to which `nodes[newcomer]` came last, are too many for a list of `layers`.
+    fn is_overfull(
+        &self,
+        nodes: &[Node<O::Paint>],
+        _newcomer: usize,
+        layers: usize,
+        _state: &Self::State,
+    ) -> bool {
+        nodes.len() > layers.saturating_add(Self::EXTRA_NODES)
+    }
+
+    /// Removes one of the nodes. Returns the source of a node that is lost.
+    fn make_room(
+        &self,
+        opacity: &O,
+        nodes: &mut Vec<Node<O::Paint>>,
+        newcomer: usize,
+        state: &mut Self::State,
+    ) -> Option<u32>;
 }
 
 /// Merges node `j + 1` into the adjacent node `j`, which keeps its place.
@@ -27,7 +54,14 @@ pub fn merge_pair<O: Opacity>(opacity: &O, nodes: &mut Vec<Node<O::Paint>>, j: u
 pub struct DiscardFurthest;
 
 impl<O: Opacity> Merge<O> for DiscardFurthest {
-    fn make_room(&self, _opacity: &O, nodes: &mut Vec<Node<O::Paint>>, _newcomer: usize) -> Option<u32> {
+    type State = ();
+    fn make_room(
+        &self,
+        _opacity: &O,
+        nodes: &mut Vec<Node<O::Paint>>,
+        _newcomer: usize,
+        (): &mut (),
+    ) -> Option<u32> {
         nodes.pop().map(|node| node.source)
     }
 }
@@ -37,7 +71,14 @@ impl<O: Opacity> Merge<O> for DiscardFurthest {
 pub struct OverFurthest;
 
 impl<O: Opacity> Merge<O> for OverFurthest {
-    fn make_room(&self, opacity: &O, nodes: &mut Vec<Node<O::Paint>>, _newcomer: usize) -> Option<u32> {
+    type State = ();
+    fn make_room(
+        &self,
+        opacity: &O,
+        nodes: &mut Vec<Node<O::Paint>>,
+        _newcomer: usize,
+        (): &mut (),
+    ) -> Option<u32> {
         merge_pair(opacity, nodes, nodes.len() - 2);
         None
     }
@@ -48,13 +89,20 @@ impl<O: Opacity> Merge<O> for OverFurthest {
 pub struct OverNearest;
 
 impl<O: Opacity> Merge<O> for OverNearest {
+    type State = ();
     const EXTRA_NODES: usize = 1;
 
     /// The accumulator is node 0: no key is smaller than its, and a newcomer goes behind its equals.
-    fn begin(&self, opacity: &O, nodes: &mut Vec<Node<O::Paint>>) {
+    fn begin(&self, opacity: &O, _pixel: &Pixel<'_>, nodes: &mut Vec<Node<O::Paint>>, (): &mut ()) {
         nodes.push(Node { key: 0, source: u32::MAX, paint: opacity.empty() });
     }
-    fn make_room(&self, opacity: &O, nodes: &mut Vec<Node<O::Paint>>, _newcomer: usize) -> Option<u32> {
+    fn make_room(
+        &self,
+        opacity: &O,
+        nodes: &mut Vec<Node<O::Paint>>,
+        _newcomer: usize,
+        (): &mut (),
+    ) -> Option<u32> {
         merge_pair(opacity, nodes, 0);
         None
     }
@@ -68,12 +116,19 @@ pub struct OverClosest {
 }
 
 impl<O: Opacity> Merge<O> for OverClosest {
-    fn make_room(&self, opacity: &O, nodes: &mut Vec<Node<O::Paint>>, _newcomer: usize) -> Option<u32> {
-        let gap = |j: usize| nodes[j + 1].depth() - nodes[j].depth();
+    type State = ();
+    fn make_room(
+        &self,
+        opacity: &O,
+        nodes: &mut Vec<Node<O::Paint>>,
+        _newcomer: usize,
+        (): &mut (),
+    ) -> Option<u32> {
+        let gap = |j: usize| f64::from(nodes[j + 1].depth()) - f64::from(nodes[j].depth());
         let j = smallest(0..nodes.len() - 1, gap);
         if self.mean_depth {
             // the mean of neighbours is between them, so the order of nodes stays
-            let mean = f64::midpoint(nodes[j].depth(), nodes[j + 1].depth());
+            let mean = f32::midpoint(nodes[j].depth(), nodes[j + 1].depth());
             nodes[j].set_depth(mean);
         }
         merge_pair(opacity, nodes, j);
@@ -91,14 +146,22 @@ pub struct SmallestError {
 }
 
 impl<O: Opacity> Merge<O> for SmallestError {
-    fn make_room(&self, opacity: &O, nodes: &mut Vec<Node<O::Paint>>, _newcomer: usize) -> Option<u32> {
+    type State = ();
+    fn make_room(
+        &self,
+        opacity: &O,
+        nodes: &mut Vec<Node<O::Paint>>,
+        _newcomer: usize,
+        (): &mut (),
+    ) -> Option<u32> {
         let shown = |shown, nodes: &[Node<O::Paint>]| {
             nodes.iter().fold(shown, |shown, node| opacity.behind(shown, &node.paint))
         };
         let mut in_front = shown(opacity.clear(), &nodes[..self.protected]);
         let error = |j: usize| {
             let behind = opacity.behind(in_front, &nodes[j].paint);
-            let error = (nodes[j].depth() - nodes[j - 1].depth()) * (in_front - behind);
+            let gap = f64::from(nodes[j].depth()) - f64::from(nodes[j - 1].depth());
+            let error = gap * (in_front - behind);
             in_front = behind;
             error
         };
@@ -125,7 +188,14 @@ fn smallest(places: std::ops::Range<usize>, mut measure: impl FnMut(usize) -> f6
 pub struct OverArrival;
 
 impl<O: Opacity> Merge<O> for OverArrival {
-    fn make_room(&self, opacity: &O, nodes: &mut Vec<Node<O::Paint>>, newcomer: usize) -> Option<u32> {
+    type State = ();
+    fn make_room(
+        &self,
+        opacity: &O,
+        nodes: &mut Vec<Node<O::Paint>>,
+        newcomer: usize,
+        (): &mut (),
+    ) -> Option<u32> {
         let node = nodes.remove(1 - newcomer);
         opacity.merge(&mut nodes[0].paint, &node.paint);
         None
@@ -137,7 +207,62 @@ impl<O: Opacity> Merge<O> for OverArrival {
 pub struct NoMerge;
 
 impl<O: Opacity> Merge<O> for NoMerge {
-    fn make_room(&self, _opacity: &O, _nodes: &mut Vec<Node<O::Paint>>, _newcomer: usize) -> Option<u32> {
+    type State = ();
+    fn make_room(
+        &self,
+        _opacity: &O,
+        _nodes: &mut Vec<Node<O::Paint>>,
+        _newcomer: usize,
+        (): &mut (),
+    ) -> Option<u32> {
         unreachable!("an unbounded list does not overflow")
+    }
+}
+
+/// The depth range is divided in bins, and of two nodes in one bin the further one is discarded (bucket
+/// peeling). The list has room for a node in each bin.
+#[derive(Debug, Clone, Copy)]
+pub struct DiscardOccupied {
+    /// How many.
+    pub bins: usize,
+    /// What they divide.
+    pub range: DepthRange,
+}
+
+impl<O: Opacity> Merge<O> for DiscardOccupied {
+    type State = Interval;
+
+    fn begin(
+        &self,
+        _opacity: &O,
+        pixel: &Pixel<'_>,
+        _nodes: &mut Vec<Node<O::Paint>>,
+        interval: &mut Interval,
+    ) {
+        *interval = self.range.interval(pixel.list);
+    }
+    fn is_overfull(
+        &self,
+        nodes: &[Node<O::Paint>],
+        newcomer: usize,
+        _layers: usize,
+        interval: &Interval,
+    ) -> bool {
+        let bin = |node: &Node<O::Paint>| cell(interval.position(node.depth()), self.bins).0;
+        let own = bin(&nodes[newcomer]);
+        let behind = nodes.get(newcomer + 1).is_some_and(|node| bin(node) == own);
+        behind || newcomer.checked_sub(1).is_some_and(|i| bin(&nodes[i]) == own)
+    }
+    /// The further one of the two is the newcomer, unless it is the node behind it.
+    fn make_room(
+        &self,
+        _opacity: &O,
+        nodes: &mut Vec<Node<O::Paint>>,
+        newcomer: usize,
+        interval: &mut Interval,
+    ) -> Option<u32> {
+        let bin = |node: &Node<O::Paint>| cell(interval.position(node.depth()), self.bins).0;
+        let is_nearer = nodes.get(newcomer + 1).is_some_and(|node| bin(node) == bin(&nodes[newcomer]));
+        Some(nodes.remove(newcomer + usize::from(is_nearer)).source)
     }
 }

@@ -67,6 +67,21 @@ impl BlendSums {
         }
     }
 
+    /// MB13 eq. 4: `count` copies of the mean fragment, one over the other.
+    #[expect(clippy::cast_precision_loss, reason = "a pixel's list is far shorter than 2^52")]
+    pub fn over_as_mean(&self, count: usize, background: DVec3) -> Resolved {
+        let Some(average) = self.average() else { return Resolved::background(background) };
+        let (coverage, transmittance) = self.mean_coverage(count as f64);
+        blend(average, coverage, transmittance, background)
+    }
+
+    /// What `n` copies of the mean fragment cover of the background, and what they leave of it.
+    pub fn mean_coverage(&self, n: f64) -> (f64, f64) {
+        let mean_alpha = (self.alpha() / n.max(1.0)).min(1.0);
+        let log_transmittance = n * (-mean_alpha).ln_1p();
+        (-log_transmittance.exp_m1(), log_transmittance.exp())
+    }
+
     /// `(1 − R) color + R background`.
     pub fn cover(&self, color: DVec3, background: DVec3) -> Resolved {
         blend(color, self.coverage, self.transmittance, background)

@@ -6,15 +6,21 @@ use crate::params::{Kind, ParamSpec, Value, View, check};
 use crate::technique::{AnyTechnique, Info};
 
 pub mod a_buffer;
+pub mod adaptive_transparency;
 pub mod alpha_compositing;
+pub mod alpha_testing;
 pub mod avsm;
 pub mod blended_oit;
 pub mod deep_opacity_maps;
 pub mod deep_shadow_maps;
 pub mod density_clustering;
 pub mod depth_peeling;
+pub mod dual_depth_peeling;
+pub mod hybrid_transparency;
+pub mod k_buffer;
 pub mod lwboit;
 pub mod mlab;
+pub mod multilayer_depth_peeling;
 pub mod occupancy_maps;
 pub mod opacity_shadow_maps;
 pub mod painter;
@@ -23,23 +29,31 @@ pub mod stochastic_transparency;
 pub mod wboit;
 pub mod weighted_average;
 pub mod weighted_sum;
+pub mod z3;
 
 /// Every technique, simplest references first.
 pub static REGISTRY: &[&Info] = &[
     &a_buffer::INFO,
+    &alpha_testing::INFO,
     &alpha_compositing::INFO,
     &painter::INFO,
     &screen_door::INFO,
-    &depth_peeling::INFO,
+    &z3::INFO,
     &deep_shadow_maps::INFO,
+    &depth_peeling::INFO,
+    &dual_depth_peeling::INFO,
     &opacity_shadow_maps::INFO,
     &density_clustering::INFO,
-    &deep_opacity_maps::INFO,
-    &occupancy_maps::INFO,
-    &avsm::INFO,
+    &k_buffer::INFO,
     &weighted_sum::INFO,
-    &weighted_average::INFO,
+    &deep_opacity_maps::INFO,
+    &multilayer_depth_peeling::INFO,
+    &occupancy_maps::INFO,
     &stochastic_transparency::INFO,
+    &avsm::INFO,
+    &adaptive_transparency::INFO,
+    &hybrid_transparency::INFO,
+    &weighted_average::INFO,
     &blended_oit::INFO,
     &wboit::INFO,
     &mlab::INFO,

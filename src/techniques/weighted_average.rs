@@ -1,6 +1,6 @@
 //! Weighted average (Bavoil & Myers 2008): every fragment becomes the mean fragment.
 
-use crate::continuum::sums::{BlendSums, blend};
+use crate::continuum::normalize::sums_of_all;
 use crate::error::Result;
 use crate::params::{Params, View};
 use crate::technique::{
@@ -44,17 +44,8 @@ impl Technique for WeightedAverage {
     const SEES_ZERO_FRAGMENTS: bool = true;
 
     /// MB13 eq. 4, Listing 2.
-    #[expect(clippy::cast_precision_loss, reason = "a pixel's list is far shorter than 2^52")]
     fn resolve(&self, pixel: &Pixel<'_>, (): &mut ()) -> Resolved {
-        let mut sums = BlendSums::CLEAR;
-        for (&color, &alpha) in pixel.list.color.iter().zip(pixel.list.alpha) {
-            sums.add(1.0, color, alpha);
-        }
-        let Some(average) = sums.average() else { return Resolved::background(pixel.background) };
-        let n = pixel.list.len() as f64;
-        let mean_alpha = (sums.alpha() / n).min(1.0);
-        let log_transmittance = n * (-mean_alpha).ln_1p();
-        blend(average, -log_transmittance.exp_m1(), log_transmittance.exp(), pixel.background)
+        sums_of_all(pixel.list).over_as_mean(pixel.list.len(), pixel.background)
     }
 
     fn cost(&self, _complexity: &DepthComplexity) -> Cost {
