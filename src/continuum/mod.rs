@@ -8,6 +8,7 @@ pub mod insertion;
 pub mod layers;
 pub mod masks;
 pub mod merge;
+pub mod moments;
 pub mod normalize;
 pub mod opacity;
 pub mod oracle;

@@ -250,6 +250,8 @@ fn default_promises_are_the_sheets() {
         ("occupancy_maps", promises([true, false, false, false, false])),
         ("deep_shadow_maps", promises([true, true, false, false, false])),
         ("avsm", promises([false, true, true, false, true])),
+        ("mboit_power", promises([true, false, true, true, true])),
+        ("mboit_trig", promises([true, false, true, true, true])),
     ];
     for (id, expected) in table {
         let variant = Variant::new(find(id).unwrap(), &[]).unwrap();

@@ -19,6 +19,8 @@ pub mod dual_depth_peeling;
 pub mod hybrid_transparency;
 pub mod k_buffer;
 pub mod lwboit;
+pub mod mboit_power;
+pub mod mboit_trig;
 pub mod mlab;
 pub mod multilayer_depth_peeling;
 pub mod occupancy_maps;
@@ -58,6 +60,8 @@ pub static REGISTRY: &[&Info] = &[
     &wboit::INFO,
     &mlab::INFO,
     &lwboit::INFO,
+    &mboit_power::INFO,
+    &mboit_trig::INFO,
 ];
 
 /// The technique of that id or alias.

@@ -1,0 +1,114 @@
+//! Power moments: the mean values of d, d², ..., dᵐ for m = 4, 6 or 8.
+
+use super::linear::{Ldl, MAX_SIZE};
+use super::polynomial::{interpolate, real_roots, shifted};
+use super::{Basis, MAX_STORED, Regularization};
+
+/// Moments that single precision ones are biased towards (M18's fp32 table). Odd ones are 0.
+const SPREAD: [[f64; MAX_STORED]; 3] = [
+    [0.0, 0.375, 0.0, 0.375, 0.0, 0.0, 0.0, 0.0],
+    [0.0, 0.48, 0.0, 0.451, 0.0, 0.45, 0.0, 0.0],
+    [0.0, 0.75, 0.0, 0.676_667, 0.0, 0.63, 0.0, 0.600_303],
+];
+
+/// Roots farther away than this, in half ranges, are left out: as the moments are at most 1, their share of
+/// the absorbance is at most the inverse of this to the power of m.
+const FAR: f64 = 1e4;
+
+/// The first m powers.
+#[derive(Debug, Clone, Copy)]
+pub struct Powers {
+    /// Half of m: the number of points of mass beside the one at d.
+    points: usize,
+    regularization: Regularization,
+}
+
+/// A pixel's power moments with their Hankel matrix factored.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Hankel {
+    /// Biased moments from the zeroth on.
+    moments: [f64; MAX_STORED + 1],
+    ldl: Option<Ldl<f64>>,
+    /// How often the bias had to be raised.
+    pub retries: u32,
+}
+
+impl Powers {
+    /// Of m = 4, 6 or 8 moments.
+    pub fn new(count: usize, regularization: Regularization) -> Self {
+        assert!(matches!(count, 4 | 6 | 8), "{count} power moments");
+        Self { points: count / 2, regularization }
+    }
+
+    /// The bias that single precision asks for (M18).
+    pub fn default_bias(count: usize) -> f64 {
+        match count {
+            4 => 5e-7,
+            6 => 5e-6,
+            _ => 5e-5,
+        }
+    }
+
+    /// Moment k of the mixture with the spread out distribution.
+    fn biased(&self, means: &[f64; MAX_STORED], bias: f64, k: usize) -> f64 {
+        let spread = &SPREAD[self.points - 2];
+        if k == 0 { 1.0 } else { (1.0 - bias) * means[k - 1] + bias * spread[k - 1] }
+    }
+}
+
+impl Basis for Powers {
+    type Moments = Hankel;
+
+    fn stored(&self) -> usize {
+        2 * self.points
+    }
+
+    fn functions(&self, d: f64) -> [f64; MAX_STORED] {
+        let mut power = 1.0;
+        std::array::from_fn(|k| {
+            power *= d;
+            if k < self.stored() { power } else { 0.0 }
+        })
+    }
+
+    fn prepare(&self, means: &[f64; MAX_STORED]) -> Hankel {
+        let entry = |bias, i, j| self.biased(means, bias, i + j);
+        let factored = self.regularization.factor(self.points + 1, entry);
+        let mut moments = [0.0; MAX_STORED + 1];
+        for (k, moment) in moments.iter_mut().enumerate().take(self.stored() + 1) {
+            *moment = self.biased(means, factored.bias, k);
+        }
+        Hankel { moments, ldl: Some(factored.ldl), retries: factored.retries }
+    }
+
+    fn in_front(&self, hankel: &Hankel, d: f64, overestimation: f64) -> f64 {
+        let Some(ldl) = &hankel.ldl else { return 0.0 };
+        let mut nodes = [d; MAX_SIZE];
+        let mut values = [overestimation; MAX_SIZE];
+        let mut count = 1;
+        for inverse in self.inverse_distances(ldl, d) {
+            if inverse.abs() * FAR >= 1.0 {
+                nodes[count] = d + inverse.recip();
+                values[count] = if inverse < 0.0 { 1.0 } else { 0.0 };
+                count += 1;
+            }
+        }
+        let p = interpolate(&nodes[..count], &values[..count]);
+        p.iter().zip(&hankel.moments).map(|(p, b)| p * b).sum()
+    }
+}
+
+impl Powers {
+    /// 1/(x − d) for each other point x of the canonical distribution. The points are the zeros of the kernel
+    /// polynomial K(d, x), whose value at d is positive: in 1/(x − d) it has that for a leading coefficient,
+    /// and a point at infinity, where its degree is less, is at 0.
+    fn inverse_distances(&self, ldl: &Ldl<f64>, d: f64) -> impl Iterator<Item = f64> + use<> {
+        let mut powers = [1.0; MAX_SIZE];
+        for k in 1..MAX_SIZE {
+            powers[k] = d * powers[k - 1];
+        }
+        let mut kernel = shifted(&ldl.solve(powers)[..=self.points], d);
+        kernel[..=self.points].reverse();
+        real_roots(&kernel[..=self.points]).into_iter().take(self.points)
+    }
+}
