@@ -65,6 +65,19 @@ impl Planes {
         Self { scale: (near * (far / (far - near))) as f32, inverse_far: far.recip() as f32 }
     }
 
+    /// What the params [`NEAR`] and [`FAR`] ask for.
+    ///
+    /// # Errors
+    /// `Error::Param` if near is not below far.
+    pub fn from_params(params: &Params) -> Result<Self> {
+        let (near, far) = (params.float("near"), params.float("far"));
+        if near >= far {
+            let problem = format!("parameter \"near\" is {near:?}, but \"far\" is {far:?}");
+            return Err(params.error(problem, "near must be less than far"));
+        }
+        Ok(Self::new(near, far))
+    }
+
     /// 1 − d with d of MB13 eq. 11 clamped to [0, 1]: 1 at the near plane, 0 at the far one. Written as a
     /// difference of inverses, since 1 − d itself cancels for most of the scene.
     fn one_minus_depth(self, z: f32) -> f32 {
@@ -131,12 +144,7 @@ impl Weighting {
     /// # Errors
     /// `Error::Param` if near is not below far.
     pub fn from_params(params: &Params) -> Result<Self> {
-        let (near, far) = (params.float("near"), params.float("far"));
-        if near >= far {
-            let problem = format!("parameter \"near\" is {near:?}, but \"far\" is {far:?}");
-            return Err(params.error(problem, "near must be less than far"));
-        }
-        let planes = Planes::new(near, far);
+        let planes = Planes::from_params(params)?;
         #[expect(clippy::cast_possible_truncation, reason = "weights are evaluated in f32")]
         let k = || params.float("weight_k") as f32;
         let formula = match params.text("weight") {

@@ -209,11 +209,22 @@ fn order_matters_exactly_where_it_is_not_claimed_to_be_irrelevant() {
         // with room for more than there ever is, order has nothing to decide
         let ample = variant.params.iter().any(|p| p.1 == crate::params::Value::Int(512));
         if claimed {
-            let allowed = if variant.technique.needs_sorted() { 0.0 } else { OTHER_ORDER };
+            let allowed = if variant.technique.needs_sorted() { 0.0 } else { rounding(&variant) };
             assert!(most <= allowed, "{}: moved by {most:e}", variant.name());
         } else if arrival && !ample {
             assert!(most > 10.0 * OTHER_ORDER, "{}: only moved by {most:e}", variant.name());
         }
+    }
+}
+
+/// What another order may do to sums in f32. Moments amplify their rounding: the bias of the papers keeps it
+/// below what implementations may differ by, less bias below what they may at worst (sheet 2.5).
+fn rounding(variant: &Variant) -> f64 {
+    let bias = variant.params.iter().find(|(name, _)| *name == "bias");
+    match bias.map(|(_, value)| value) {
+        None => OTHER_ORDER,
+        Some(crate::params::Value::Float(bias)) if bias >= 1e-7 => 2e-3,
+        Some(_) => 0.1,
     }
 }
 
@@ -252,6 +263,8 @@ fn default_promises_are_the_sheets() {
         ("avsm", promises([false, true, true, false, true])),
         ("mboit_power", promises([true, false, true, true, true])),
         ("mboit_trig", promises([true, false, true, true, true])),
+        ("phenomenological", promises([true, false, true, true, true])),
+        ("gs_wsr", promises([true, false, false, false, false])),
     ];
     for (id, expected) in table {
         let variant = Variant::new(find(id).unwrap(), &[]).unwrap();

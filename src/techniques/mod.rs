@@ -16,6 +16,7 @@ pub mod deep_shadow_maps;
 pub mod density_clustering;
 pub mod depth_peeling;
 pub mod dual_depth_peeling;
+pub mod gs_wsr;
 pub mod hybrid_transparency;
 pub mod k_buffer;
 pub mod lwboit;
@@ -26,6 +27,7 @@ pub mod multilayer_depth_peeling;
 pub mod occupancy_maps;
 pub mod opacity_shadow_maps;
 pub mod painter;
+pub mod phenomenological;
 pub mod screen_door;
 pub mod stochastic_transparency;
 pub mod wboit;
@@ -59,9 +61,11 @@ pub static REGISTRY: &[&Info] = &[
     &blended_oit::INFO,
     &wboit::INFO,
     &mlab::INFO,
+    &phenomenological::INFO,
     &lwboit::INFO,
     &mboit_power::INFO,
     &mboit_trig::INFO,
+    &gs_wsr::INFO,
 ];
 
 /// The technique of that id or alias.

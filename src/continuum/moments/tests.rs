@@ -220,8 +220,8 @@ fn harmonics_conform_with_szego_quadrature() {
     }
 }
 
-/// The orthonormal polynomials' recurrence, x p_k = b_{k+1} p_{k+1} + a_k p_k + b_k p_{k−1}, from moments by
-/// Chebyshev's algorithm: (a_0.., b_1..).
+/// The orthonormal polynomials' recurrence, x pₖ = bₖ₊₁ pₖ₊₁ + aₖ pₖ + bₖ pₖ₋₁, from moments by Chebyshev's
+/// algorithm: (a from 0 on, b from 1 on).
 fn recurrence(moments: &[f64]) -> (Vec<f64>, Vec<f64>) {
     let q = moments.len() / 2;
     let (mut a, mut b) = (vec![moments[1] / moments[0]], Vec::new());

@@ -1,0 +1,235 @@
+//! Weighted sum rendering of Gaussian splats (Hou et al. 2025): a weighted average in which the background
+//! takes part like a fragment.
+
+use crate::continuum::sums::{BlendSums, blend};
+use crate::error::Result;
+use crate::fragments::List;
+use crate::params::{Kind, ParamSpec, Params, Value, View};
+use crate::technique::{
+    AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties, Resolved, Technique,
+};
+use crate::techniques::ANY_ORDER;
+
+/// The registry entry.
+pub static INFO: Info = Info {
+    id: "gs_wsr",
+    aliases: &[],
+    name: "Weighted sum rendering (Gaussian splatting)",
+    citation: &["Hou2025"],
+    doc: "The average of all fragments and of the background, weighted by depth. The background has a constant \
+          weight instead of being covered, so not even one fragment is exact, and an opaque one lets it shine \
+          through.",
+    axes: Axes {
+        memory: "empirical func",
+        insertion: "never",
+        merge: "discard all",
+        normalize: "weighted average incl. background",
+        opacity: "alpha",
+    },
+    params: &[
+        ParamSpec::new(
+            "variant",
+            Kind::Choice(&["direct", "exp", "linear"]),
+            Value::Text("direct"),
+            "weight of a fragment: 1, exp(-sigma z^gamma), or max(0, 1 - z / sigma) gain",
+        ),
+        ParamSpec::new(
+            "background_weight",
+            Kind::NON_NEGATIVE,
+            Value::Float(1.0),
+            "weight of the background",
+        ),
+        ParamSpec::new(
+            "sigma",
+            Kind::POSITIVE,
+            Value::None,
+            "how fast exp falls, or the depth where linear ends",
+        )
+        .derived("1 (exp), automatic (linear: twice the mean depth of a pixel)", |params, _| {
+            if params.text("variant") == "exp" { Value::Float(1.0) } else { Value::None }
+        })
+        .when(|params| params.text("variant") != "direct"),
+        ParamSpec::new("gamma", Kind::POSITIVE, Value::Float(1.0), "power of depth in exp")
+            .when(|params| params.text("variant") == "exp"),
+        ParamSpec::new("gain", Kind::POSITIVE, Value::Float(1.0), "factor of linear")
+            .when(|params| params.text("variant") == "linear"),
+    ],
+    submission_orders: ANY_ORDER,
+    random: false,
+    geometry_passes: "1, 1 more for linear's automatic sigma",
+    bytes_per_pixel: "8, 8 more for linear's automatic sigma",
+    build,
+};
+
+fn build(params: &Params, _view: &View) -> Result<Box<dyn AnyTechnique>> {
+    let weight = match (params.text("variant"), params.value("sigma")) {
+        ("exp", _) => Weight::Exponential { sigma: params.float("sigma"), gamma: params.float("gamma") },
+        ("linear", Value::Float(sigma)) => Weight::Linear { sigma: Some(sigma), gain: params.float("gain") },
+        ("linear", _) => Weight::Linear { sigma: None, gain: params.float("gain") },
+        _ => Weight::Direct,
+    };
+    Ok(Box::new(WeightedSumRendering { weight, background_weight: params.float("background_weight") }))
+}
+
+/// A fragment's weight by its depth.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Weight {
+    Direct,
+    Exponential {
+        sigma: f64,
+        gamma: f64,
+    },
+    Linear {
+        /// None: twice the mean depth of the pixel.
+        sigma: Option<f64>,
+        gain: f64,
+    },
+}
+
+impl Weight {
+    /// The weight for a pixel with these fragments.
+    fn for_pixel(self, list: List<'_>) -> Self {
+        match self {
+            Self::Linear { sigma: None, gain } => Self::Linear { sigma: Some(2.0 * mean_depth(list)), gain },
+            weight => weight,
+        }
+    }
+
+    #[expect(clippy::cast_possible_truncation, reason = "the sums are f32 targets")]
+    fn at(self, depth: f32) -> f32 {
+        let z = f64::from(depth);
+        let weight = match self {
+            Self::Direct => 1.0,
+            Self::Exponential { sigma, gamma } => (-sigma * z.powf(gamma)).exp(),
+            // where every depth is 0, so is their mean
+            Self::Linear { sigma: None | Some(0.0), gain } => gain,
+            Self::Linear { sigma: Some(sigma), gain } => (1.0 - z / sigma).max(0.0) * gain,
+        };
+        weight.min(LARGEST) as f32
+    }
+}
+
+/// Sums of ten thousand such weights stay finite in f32.
+const LARGEST: f64 = 1e30;
+
+#[expect(clippy::cast_precision_loss, reason = "a pixel's list is far shorter than 2^52")]
+fn mean_depth(list: List<'_>) -> f64 {
+    list.depth.iter().map(|&z| f64::from(z)).sum::<f64>() / list.len() as f64
+}
+
+struct WeightedSumRendering {
+    weight: Weight,
+    background_weight: f64,
+}
+
+impl Technique for WeightedSumRendering {
+    type Scratch = ();
+
+    fn resolve(&self, pixel: &Pixel<'_>, (): &mut ()) -> Resolved {
+        let weight = self.weight.for_pixel(pixel.list);
+        let mut sums = BlendSums::CLEAR;
+        for fragment in pixel.list.iter() {
+            sums.add(weight.at(fragment.depth), fragment.color, fragment.alpha);
+        }
+        let total = self.background_weight + sums.alpha();
+        if total == 0.0 {
+            return Resolved::background(pixel.background);
+        }
+        blend(sums.color() / total, 1.0, self.background_weight / total, pixel.background)
+    }
+
+    fn cost(&self, _complexity: &DepthComplexity) -> Cost {
+        match self.weight {
+            Weight::Linear { sigma: None, .. } => Cost { geometry_passes: 2.0, bytes_per_pixel: 16.0 },
+            _ => Cost { geometry_passes: 1.0, bytes_per_pixel: 8.0 },
+        }
+    }
+
+    fn properties(&self) -> Properties {
+        Properties { order_independent: true, ..Properties::NONE }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::params::{Input, Value};
+    use crate::technique::DepthComplexity;
+    use crate::techniques::testing::{
+        BACKGROUND, F32_STATE, assert_close, build, fragment, given, random_pixel, resolve, three_layers,
+    };
+    use glam::{DVec3, Vec3};
+
+    fn variant(name: &str) -> (&'static str, Input) {
+        ("variant", Input::Text(name.into()))
+    }
+
+    /// Premultiplied colours of the three layers, at depths 4, 2, 8 and alphas 1/2, 1/4, 3/4.
+    const LAYERS: [DVec3; 3] =
+        [DVec3::new(0.05, 0.45, 0.1), DVec3::new(0.25, 0.075, 0.025), DVec3::new(0.15, 0.075, 0.75)];
+
+    #[test]
+    fn three_layers_by_hand() {
+        let e = |z: f64| (-0.5 * z * z).exp();
+        let square = [variant("exp"), ("sigma", Input::Float(0.5)), ("gamma", Input::Int(2))];
+        let gain = [variant("linear"), ("sigma", Input::Int(6)), ("gain", Input::Int(3))];
+        // the mean depth is 14/3
+        let linear = |z: f64| 1.0 - z * 3.0 / 28.0;
+        let cases = [
+            (&[][..], [1.0; 3]),
+            (&square, [e(4.0), e(2.0), e(8.0)]),
+            (&gain, [1.0, 2.0, 0.0]),
+            (&[variant("linear")], [linear(4.0), linear(2.0), linear(8.0)]),
+        ];
+        for (inputs, w) in cases {
+            let background = ("background_weight", Input::Float(0.25));
+            let got = resolve("gs_wsr", &[inputs, &[background]].concat(), &three_layers());
+            let total = 0.25 + 0.5 * w[0] + 0.25 * w[1] + 0.75 * w[2];
+            let sum = w[0] * LAYERS[0] + w[1] * LAYERS[1] + w[2] * LAYERS[2];
+            let color = (0.25 * DVec3::from(Vec3::from(BACKGROUND)) + sum) / total;
+            assert_close(got, color, 0.25 / total, F32_STATE);
+        }
+    }
+
+    /// Sheet 2.7: then it is the colour term of weighted blended OIT alone.
+    #[test]
+    fn without_background_it_is_the_average_color() {
+        for seed in 0..10 {
+            let pixel = random_pixel(8 + seed, seed.into());
+            let blended = resolve("blended_oit", &[], &pixel);
+            let covered = blended.color - blended.transmittance * DVec3::from(Vec3::from(BACKGROUND));
+            let average = covered / (1.0 - blended.transmittance);
+            let got = resolve("gs_wsr", &[("background_weight", Input::Int(0))], &pixel);
+            assert_close(got, average, 0.0, F32_STATE);
+            let almost = resolve("gs_wsr", &[("background_weight", Input::Float(1e-9))], &pixel);
+            assert_close(almost, average, 0.0, F32_STATE);
+        }
+    }
+
+    #[test]
+    fn a_lone_fragment_is_exact_for_one_background_weight_only() {
+        let lone = [fragment(2.0, [1.0, 0.5, 0.0], 0.75, 0)];
+        let (color, transmittance) = crate::techniques::testing::over(&lone);
+        let at = |weight| resolve("gs_wsr", &[("background_weight", Input::Float(weight))], &lone);
+        assert_close(at(0.25), color, transmittance, F32_STATE);
+        assert!((at(1.0).color - color).abs().max_element() > 0.01);
+    }
+
+    #[test]
+    fn nothing_with_a_weight_leaves_the_background() {
+        let beyond = [fragment(5.0, [1.0; 3], 0.5, 0)];
+        let inputs = [variant("linear"), ("sigma", Input::Int(5)), ("background_weight", Input::Int(0))];
+        assert_close(resolve("gs_wsr", &inputs, &beyond), DVec3::from(Vec3::from(BACKGROUND)), 1.0, 0.0);
+        let at_the_eye = [fragment(0.0, [1.0; 3], 0.5, 0)];
+        assert!(resolve("gs_wsr", &[variant("linear")], &at_the_eye).color.is_finite());
+    }
+
+    #[test]
+    fn sigma_is_automatic_where_it_depends_on_the_pixel() {
+        let sigma = |name| given(&super::INFO, &[variant(name)]).value("sigma");
+        assert_eq!(["direct", "exp", "linear"].map(sigma), [Value::None, Value::Float(1.0), Value::None]);
+        let complexity = DepthComplexity { mean: 1.0, max: 1 };
+        let passes = |inputs: &[_]| build("gs_wsr", inputs).unwrap().cost(&complexity).geometry_passes;
+        assert_eq!(passes(&[variant("linear")]), 2.0);
+        assert_eq!(passes(&[variant("linear"), ("sigma", Input::Int(3))]), 1.0);
+    }
+}

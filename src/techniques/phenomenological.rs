@@ -1,0 +1,226 @@
+//! The phenomenological model (`McGuire` & Mara 2016): weighted blended OIT whose fragments may transmit the
+//! background in colour.
+
+use super::blended_oit::BLENDED;
+use crate::continuum::sums::BlendSums;
+use crate::error::Result;
+use crate::params::{Kind, ParamSpec, Params, Value, View};
+use crate::technique::{
+    AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties, Resolved, Technique,
+};
+use crate::techniques::ANY_ORDER;
+use crate::weight::{FAR, Formula, NEAR, Planes, Weighting};
+use glam::DVec3;
+
+/// The registry entry.
+pub static INFO: Info = Info {
+    id: "phenomenological",
+    aliases: &[],
+    name: "Phenomenological OIT",
+    citation: &["McGuire2016"],
+    doc: "Weighted blended OIT in which a fragment covers the background less where it transmits light, per \
+          channel. All fragments share one transmission; diffusion and refraction, which need neighbouring \
+          pixels, are left out.",
+    axes: Axes {
+        memory: "empirical func",
+        insertion: "never",
+        merge: "discard all",
+        normalize: "α-weighted average",
+        opacity: "alpha",
+    },
+    params: &[
+        NEAR.when(|_| true),
+        FAR.when(|_| true),
+        ParamSpec::new(
+            "transmission",
+            Kind::FloatOrRgb { min: 0.0, max: 1.0 },
+            Value::Rgb([0.0; 3]),
+            "share of the background that passes through the covered part of a fragment, per channel",
+        ),
+        ParamSpec::new(
+            "divisor_floor",
+            Kind::NON_NEGATIVE,
+            Value::Float(0.0),
+            "least sum of weights to divide by; 1e-5 is the authors' shaders', which darkens faint fragments",
+        ),
+    ],
+    submission_orders: ANY_ORDER,
+    random: false,
+    geometry_passes: "1",
+    bytes_per_pixel: "12 (sums and the background's share per channel)",
+    build,
+};
+
+fn build(params: &Params, _view: &View) -> Result<Box<dyn AnyTechnique>> {
+    let Value::Rgb(transmission) = params.value("transmission") else {
+        unreachable!("a value of this kind is three numbers")
+    };
+    Ok(Box::new(Phenomenological {
+        weighting: Weighting::new(Box::new(Formula::I3d16(Planes::from_params(params)?)), 1.0, 0.0),
+        transmission: DVec3::from(transmission),
+        divisor_floor: params.float("divisor_floor"),
+    }))
+}
+
+struct Phenomenological {
+    weighting: Weighting,
+    /// τ.
+    transmission: DVec3,
+    divisor_floor: f64,
+}
+
+/// Working memory: a' and w of each fragment.
+#[derive(Debug, Default)]
+struct Scratch {
+    alpha: Vec<f32>,
+    weights: Vec<f32>,
+}
+
+/// How much of the background all fragments cover, and what that leaves, B; each is kept for itself, as
+/// [`BlendSums`] does.
+#[derive(Debug, Clone, Copy)]
+struct Modulation {
+    coverage: DVec3,
+    transmittance: DVec3,
+}
+
+impl Modulation {
+    /// Π (1 − a (1 − τ)).
+    fn by(alphas: &[f32], transmission: DVec3) -> Self {
+        let mut net = Self { coverage: DVec3::ZERO, transmittance: DVec3::ONE };
+        for &alpha in alphas {
+            let coverage = f64::from(alpha) * (1.0 - transmission);
+            net.transmittance *= 1.0 - coverage;
+            net.coverage += (1.0 - net.coverage) * coverage;
+        }
+        net
+    }
+
+    /// `(1 − B) color + B background`.
+    fn cover(&self, color: DVec3, background: DVec3) -> Resolved {
+        let blended = self.coverage * color + self.transmittance * background;
+        Resolved {
+            color: blended.min(DVec3::splat(f32::MAX.into())),
+            transmittance: self.transmittance,
+            dropped: 0,
+        }
+    }
+}
+
+impl Phenomenological {
+    /// Σ w (C, a'), with a' = a (1 − mean τ).
+    fn accumulate(&self, pixel: &Pixel<'_>, Scratch { alpha, weights }: &mut Scratch) -> BlendSums {
+        #[expect(clippy::cast_possible_truncation, reason = "the sums are f32 targets")]
+        let kept = (1.0 - self.transmission.element_sum() / 3.0) as f32;
+        alpha.clear();
+        alpha.extend(pixel.list.alpha.iter().map(|a| a * kept));
+        self.weighting.evaluate(pixel.list.depth, alpha, weights);
+        let mut sums = BlendSums::CLEAR;
+        for ((&weight, &color), &alpha) in weights.iter().zip(pixel.list.color).zip(alpha.iter()) {
+            sums.add(weight, color, alpha);
+        }
+        sums
+    }
+
+    /// The average colour; where nothing but background is left, none.
+    fn average(&self, sums: &BlendSums) -> DVec3 {
+        let alpha = sums.alpha();
+        if alpha > 0.0 { sums.color() / alpha.max(self.divisor_floor) } else { DVec3::ZERO }
+    }
+}
+
+impl Technique for Phenomenological {
+    type Scratch = Scratch;
+    const COLORED_TRANSMITTANCE: bool = true;
+
+    fn resolve(&self, pixel: &Pixel<'_>, scratch: &mut Scratch) -> Resolved {
+        let sums = self.accumulate(pixel, scratch);
+        Modulation::by(pixel.list.alpha, self.transmission).cover(self.average(&sums), pixel.background)
+    }
+
+    fn cost(&self, _complexity: &DepthComplexity) -> Cost {
+        Cost { geometry_passes: 1.0, bytes_per_pixel: 12.0 }
+    }
+
+    fn properties(&self) -> Properties {
+        let blocks = self.transmission == DVec3::ZERO;
+        let exact = blocks && self.divisor_floor == 0.0;
+        Properties { exact_for_one: exact, exact_for_one_color: exact, exact_coverage: blocks, ..BLENDED }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::params::Input;
+    use crate::techniques::testing::{
+        BACKGROUND, F32_STATE, assert_close, build, fragment, over, random_pixel, resolve, three_layers,
+    };
+    use glam::{DVec3, Vec3};
+
+    const ID: &str = "phenomenological";
+
+    fn transmission(rgb: [f64; 3]) -> (&'static str, Input) {
+        ("transmission", Input::Floats(rgb.to_vec()))
+    }
+
+    /// All three depths are beyond the far plane, where the weights are 1000 a' 0.01³, at least 1e-2.
+    #[test]
+    fn three_layers_by_hand() {
+        let planes = [("near", Input::Float(0.5)), ("far", Input::Float(1.0))];
+        let tinted = [transmission([1.0, 0.5, 0.0]), planes[0].clone(), planes[1].clone()];
+        let got = resolve(ID, &tinted, &three_layers());
+        let transmittance = DVec3::new(1.0, 0.75 * 0.875 * 0.625, 0.5 * 0.75 * 0.25);
+        let average = DVec3::new(0.45, 0.6, 0.875) / (0.5 * 1.5);
+        let expected = (1.0 - transmittance) * average + transmittance * DVec3::from(Vec3::from(BACKGROUND));
+        assert!((got.transmittance - transmittance).abs().max_element() < 1e-15, "{got:?}");
+        assert!((got.color - expected).abs().max_element() < F32_STATE, "{got:?} {expected}");
+    }
+
+    /// Sheet 3, identity 5.
+    #[test]
+    fn without_transmission_it_is_wboit_with_its_weight() {
+        for seed in 0..20 {
+            let pixel = random_pixel(3 * seed, seed.into());
+            let weight = ("weight", Input::Text("i3d16".into()));
+            assert_eq!(resolve(ID, &[], &pixel), resolve("wboit", &[weight], &pixel));
+        }
+    }
+
+    #[test]
+    fn gray_transmission_thins_what_covers_the_background() {
+        for (tau, n) in [(0.25, 5), (0.5, 17), (1.0, 8)] {
+            let pixel = random_pixel(n, 3);
+            let got = resolve(ID, &[("transmission", Input::Float(tau))], &pixel);
+            let expected: f64 = pixel.iter().map(|f| 1.0 - f64::from(f.alpha) * (1.0 - tau)).product();
+            assert!((got.transmittance - expected).abs().max_element() < 1e-14, "{got:?}");
+        }
+    }
+
+    #[test]
+    fn a_lone_fragment_keeps_its_light_and_covers_less() {
+        let glass = fragment(3.0, [0.8, 0.4, 0.2], 0.5, 0);
+        let got = resolve(ID, &[("transmission", Input::Float(0.5))], &[glass]);
+        let expected = 0.5 * DVec3::new(0.8, 0.4, 0.2) + 0.75 * DVec3::from(Vec3::from(BACKGROUND));
+        assert_close(got, expected, 0.75, F32_STATE);
+        let clear = resolve(ID, &[("transmission", Input::Float(1.0))], &[glass]);
+        assert_close(clear, DVec3::from(Vec3::from(BACKGROUND)), 1.0, 0.0);
+    }
+
+    /// Sheet 2.4: the authors' shaders divide by 1e-5 at least.
+    #[test]
+    fn the_printed_floor_darkens_faint_fragments() {
+        let faint = [fragment(90.0, [1.0; 3], 1e-4, 0)];
+        let (color, transmittance) = over(&faint);
+        assert_close(resolve(ID, &[], &faint), color, transmittance, F32_STATE);
+        let floored = resolve(ID, &[("divisor_floor", Input::Float(1e-5))], &faint);
+        // its weight is 1e-2, so the sum is 1e-6
+        let darkened = color - 0.9 * 1e-4;
+        assert_close(floored, darkened, transmittance, F32_STATE);
+    }
+
+    #[test]
+    fn near_must_be_less_than_far() {
+        let message = build(ID, &[("near", Input::Int(200))]).err().unwrap().to_string();
+        assert!(message.contains(ID) && message.contains("near must be less than far"), "{message}");
+    }
+}
