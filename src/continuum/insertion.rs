@@ -31,8 +31,8 @@ pub trait Insertion<O: Opacity>: Send + Sync + 'static {
     /// What must be remembered of the pixel's earlier fragments.
     type State: Default;
 
-    /// Forgets the last pixel.
-    fn begin(&self, _state: &mut Self::State) {}
+    /// Prepares for a pixel.
+    fn begin(&self, _pixel: &Pixel<'_>, _state: &mut Self::State) {}
 
     /// The paint under which the fragment is stored; `None` refuses it.
     fn admit(&self, arrival: &Arrival<'_, O>, state: &mut Self::State) -> Option<O::Paint>;
@@ -94,7 +94,7 @@ impl Nearest {
 impl<O: Opacity> Insertion<O> for Nearest {
     type State = Vec<u64>;
 
-    fn begin(&self, nearest: &mut Vec<u64>) {
+    fn begin(&self, _pixel: &Pixel<'_>, nearest: &mut Vec<u64>) {
         nearest.clear();
     }
     fn admit(&self, arrival: &Arrival<'_, O>, nearest: &mut Vec<u64>) -> Option<O::Paint> {

@@ -77,7 +77,7 @@ impl<I: Insertion<O>, M: Merge<O>, O: Opacity> Stream<I, M, O> {
     pub fn store(&self, pixel: &Pixel<'_>, stored: &mut Stored<O::Paint, States<I, M, O>>) {
         stored.nodes.clear();
         stored.lost.clear();
-        self.insertion.begin(&mut stored.state.0);
+        self.insertion.begin(pixel, &mut stored.state.0);
         self.merge.begin(&self.opacity, pixel, &mut stored.nodes, &mut stored.state.1);
         for (source, fragment) in (0..).zip(pixel.list.iter()) {
             self.receive(pixel, &fragment, source, stored);

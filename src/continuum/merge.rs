@@ -22,13 +22,14 @@ pub trait Merge<O: Opacity>: Send + Sync + 'static {
     ) {
     }
 
-    /// Whether `nodes`, to which `nodes[newcomer]` came last, are too many for a list of `layers`.
+    /// Whether `nodes`, to which `nodes[newcomer]` came last, are too many for a list of `layers`. Asked after
+    /// every insertion.
     fn is_overfull(
         &self,
         nodes: &[Node<O::Paint>],
         _newcomer: usize,
         layers: usize,
-        _state: &Self::State,
+        _state: &mut Self::State,
     ) -> bool {
         nodes.len() > layers.saturating_add(Self::EXTRA_NODES)
     }
@@ -246,7 +247,7 @@ impl<O: Opacity> Merge<O> for DiscardOccupied {
         nodes: &[Node<O::Paint>],
         newcomer: usize,
         _layers: usize,
-        interval: &Interval,
+        interval: &mut Interval,
     ) -> bool {
         let bin = |node: &Node<O::Paint>| cell(interval.position(node.depth()), self.bins).0;
         let own = bin(&nodes[newcomer]);

@@ -75,6 +75,18 @@ impl Interval {
     }
 }
 
+impl Interval {
+    /// Where a depth lies on a logarithmic scale, in [0, 1]: half of MBOIT's warp plus one half. A depth of 0
+    /// is far in front of everything.
+    pub fn log_position(&self, depth: f32) -> f64 {
+        let lo = self.lo.max(1e-6 * self.hi);
+        if self.hi <= lo {
+            return 0.0;
+        }
+        (f64::from(depth).clamp(lo, self.hi) / lo).ln() / (self.hi / lo).ln()
+    }
+}
+
 /// Which of `count` equal cells of [0, 1] a position lies in, and how far inside it: 0 at the near edge, 1 at
 /// the far edge of the last one, to which position 1 belongs.
 #[expect(
@@ -115,6 +127,16 @@ mod tests {
         let interval = Interval { lo: 2.0, hi: 6.0 };
         assert_eq!([1.0, 2.0, 3.0, 6.0, 7.0].map(|z| interval.position(z)), [0.0, 0.0, 0.25, 1.0, 1.0]);
         assert_eq!([1.0, 2.0, 3.0].map(|z| Interval { lo: 2.0, hi: 2.0 }.position(z)), [0.0; 3]);
+    }
+
+    #[test]
+    fn logarithmic_positions_too_even_from_the_eye_on() {
+        let interval = Interval { lo: 2.0, hi: 8.0 };
+        assert_eq!([1.0, 2.0, 4.0, 8.0, 9.0].map(|z| interval.log_position(z)), [0.0, 0.0, 0.5, 1.0, 1.0]);
+        let eye = Interval { lo: 0.0, hi: 1.0 };
+        let thousandth = eye.log_position(1e-3);
+        assert!(eye.log_position(0.0) == 0.0 && (thousandth - 0.5).abs() < 1e-8, "{thousandth}");
+        assert_eq!([0.0, 1.0].map(|z| Interval { lo: 0.0, hi: 0.0 }.log_position(z)), [0.0; 2]);
     }
 
     #[test]

@@ -23,6 +23,7 @@ pub mod lwboit;
 pub mod mboit_power;
 pub mod mboit_trig;
 pub mod mlab;
+pub mod mlab_buckets;
 pub mod multilayer_depth_peeling;
 pub mod occupancy_maps;
 pub mod opacity_shadow_maps;
@@ -61,6 +62,7 @@ pub static REGISTRY: &[&Info] = &[
     &blended_oit::INFO,
     &wboit::INFO,
     &mlab::INFO,
+    &mlab_buckets::INFO,
     &phenomenological::INFO,
     &lwboit::INFO,
     &mboit_power::INFO,

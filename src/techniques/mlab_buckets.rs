@@ -1,0 +1,477 @@
+//! Multi-layer alpha blending with depth buckets, as in transparent line rendering (Kern et al. 2021).
+
+use super::mlab::MERGED;
+use crate::continuum::insertion::{Always, Arrival, Insertion};
+use crate::continuum::layers::{Node, StoredLayers, Stream};
+use crate::continuum::merge::{Merge, merge_pair};
+use crate::continuum::normalize::Unnormalized;
+use crate::continuum::opacity::{Alpha, Layer, Opacity};
+use crate::continuum::range::{DepthRange, Interval, cell};
+use crate::error::Result;
+use crate::fragments::{Fragment, List};
+use crate::order::sort_key;
+use crate::params::{Kind, ParamSpec, Params, Value, View};
+use crate::technique::{AnyTechnique, Axes, Cost, Info, Pixel, Properties};
+use crate::techniques::ANY_ORDER;
+use std::ops::Range;
+
+/// The registry entry.
+pub static INFO: Info = Info {
+    id: "mlab_buckets",
+    aliases: &[],
+    name: "Multi-layer alpha blending with depth buckets",
+    citation: &["Kern2021", "Salvi2014"],
+    doc: "One list spends its layers on whatever arrives first; buckets save some for what decides. min_depth, \
+          the published form, finds the nearest fragment that is not faint, merges all in front of it into one \
+          layer, and drops what lies behind the nearest opaque one. depth keeps a list in each of a few \
+          intervals; transmittance opens another list behind one that hides most.",
+    axes: Axes {
+        memory: "k layers",
+        insertion: "always",
+        merge: "merge furthest in a bucket",
+        normalize: "no",
+        opacity: "alpha",
+    },
+    params: &[
+        ParamSpec::new("layers", Kind::at_least(1), Value::Int(4), "layers per pixel (min_depth) or bucket"),
+        ParamSpec::new(
+            "mode",
+            Kind::Choice(&["min_depth", "depth", "transmittance"]),
+            Value::Text("min_depth"),
+            "what buckets divide: what is in front of the first surface from the rest, depth, or transmittance",
+        ),
+        ParamSpec::new("buckets", Kind::at_least(1), Value::Int(4), "lists per pixel, at most")
+            .when(|p| p.text("mode") != "min_depth"),
+        ParamSpec::new(
+            "front_threshold",
+            Kind::REAL,
+            Value::Float(0.2),
+            "the first surface is the nearest fragment of a larger alpha; below 0 it is the nearest fragment",
+        )
+        .when(|p| p.text("mode") == "min_depth"),
+        ParamSpec::new(
+            "opaque_threshold",
+            Kind::REAL,
+            Value::Float(0.98),
+            "what is behind a fragment of at least this alpha is dropped; above 1 nothing is",
+        )
+        .when(|p| p.text("mode") == "min_depth"),
+        ParamSpec::new(
+            "transmittance_threshold",
+            Kind::float(0.0, 1.0),
+            Value::Float(0.1),
+            "a full list that lets less than this through is split rather than merged",
+        )
+        .when(|p| p.text("mode") == "transmittance"),
+        DepthRange::param("pixel").when(|p| p.text("mode") == "depth"),
+    ],
+    submission_orders: ANY_ORDER,
+    random: false,
+    geometry_passes: "min_depth: 2; depth: 1, 1 more for range=\"pixel\"; transmittance: 1",
+    bytes_per_pixel: "min_depth: 8 layers + 8; depth: 8 layers buckets, 8 more for range=\"pixel\"; \
+                      transmittance: 8 layers buckets",
+    build,
+};
+
+fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
+    let (layers, buckets) = (params.size("layers"), params.size("buckets"));
+    let all = layers.saturating_mul(buckets);
+    Ok(match params.text("mode") {
+        "depth" => {
+            let range = DepthRange::from_params(params, view);
+            let find = f64::from(u8::from(range == DepthRange::Pixel));
+            let cost = Cost { geometry_passes: 1.0 + find, ..Cost::list(all, 8.0 * find) };
+            Box::new(buckets_of(layers, Always, DepthBuckets { buckets, range }, cost, MERGED))
+        }
+        "transmittance" => {
+            let threshold = params.float("transmittance_threshold");
+            let merge = TransmittanceBuckets { buckets, threshold };
+            Box::new(buckets_of(layers, Always, merge, Cost::list(all, 0.0), MERGED))
+        }
+        _ => {
+            let (front, opaque) = (params.float("front_threshold"), params.float("opaque_threshold"));
+            let cost = Cost { geometry_passes: 2.0, ..Cost::list(layers, 8.0) };
+            let insertion = NotBehindOpaque { threshold: opaque };
+            let merge = FrontBucket { threshold: front };
+            Box::new(buckets_of(layers, insertion, merge, cost, min_depth_properties(front, opaque)))
+        }
+    })
+}
+
+fn buckets_of<I, M>(
+    layers: usize,
+    insertion: I,
+    merge: M,
+    cost: Cost,
+    properties: Properties,
+) -> StoredLayers<I, M, Alpha, Unnormalized> {
+    let stream = Stream { insertion, merge, opacity: Alpha, layers };
+    StoredLayers { stream, normalize: Unnormalized, cost, properties }
+}
+
+/// One front layer for any number of faint fragments, or dropping behind the opaque, costs exactness however
+/// large k is.
+fn min_depth_properties(front: f64, opaque: f64) -> Properties {
+    let whole = opaque > 1.0;
+    Properties {
+        // the nearest fragment hides all others
+        order_independent: opaque <= 0.0,
+        consistent: whole && front < 0.0,
+        exact_for_one_color: whole,
+        exact_coverage: whole,
+        ..MERGED
+    }
+}
+
+/// The (depth, primitive) of the nearest fragment of which `is_it`.
+fn nearest(list: List<'_>, is_it: impl Fn(&Fragment) -> bool) -> Option<u64> {
+    list.iter().filter(is_it).map(|f| sort_key(f.depth, f.primitive)).min()
+}
+
+/// Fragments that are not behind the nearest opaque one.
+struct NotBehindOpaque {
+    /// The alpha at which a fragment counts as opaque.
+    threshold: f64,
+}
+
+impl Insertion<Alpha> for NotBehindOpaque {
+    /// The nearest opaque fragment.
+    type State = u64;
+
+    fn begin(&self, pixel: &Pixel<'_>, opaque: &mut u64) {
+        *opaque = nearest(pixel.list, |f| f64::from(f.alpha) >= self.threshold).unwrap_or(u64::MAX);
+    }
+    fn admit(&self, arrival: &Arrival<'_, Alpha>, opaque: &mut u64) -> Option<Layer> {
+        if arrival.key <= *opaque { arrival.paint() } else { None }
+    }
+}
+
+/// One layer for all that is in front of the first surface, the other layers for the rest.
+struct FrontBucket {
+    /// The first surface is the nearest fragment of a larger alpha.
+    threshold: f64,
+}
+
+impl FrontBucket {
+    fn split(nodes: &[Node<Layer>], surface: u64) -> usize {
+        nodes.partition_point(|node| node.key < surface)
+    }
+}
+
+impl Merge<Alpha> for FrontBucket {
+    /// The first surface.
+    type State = u64;
+
+    fn begin(&self, _opacity: &Alpha, pixel: &Pixel<'_>, _nodes: &mut Vec<Node<Layer>>, surface: &mut u64) {
+        *surface = nearest(pixel.list, |f| f64::from(f.alpha) > self.threshold).unwrap_or(u64::MAX);
+    }
+    fn is_overfull(&self, nodes: &[Node<Layer>], _newcomer: usize, layers: usize, surface: &mut u64) -> bool {
+        let front = Self::split(nodes, *surface);
+        front > 1 || nodes.len() - front > (layers - 1).max(1)
+    }
+    fn make_room(
+        &self,
+        opacity: &Alpha,
+        nodes: &mut Vec<Node<Layer>>,
+        _newcomer: usize,
+        surface: &mut u64,
+    ) -> Option<u32> {
+        let overfull = if Self::split(nodes, *surface) > 1 { 0 } else { nodes.len() - 2 };
+        merge_pair(opacity, nodes, overfull);
+        None
+    }
+}
+
+/// A list in each of a few equal intervals of a logarithmic scale of depth.
+struct DepthBuckets {
+    buckets: usize,
+    range: DepthRange,
+}
+
+impl DepthBuckets {
+    /// The nodes that share a bucket with the newcomer.
+    fn bucket(&self, nodes: &[Node<Layer>], newcomer: usize, interval: &Interval) -> Range<usize> {
+        let bucket = |node: &Node<Layer>| cell(interval.log_position(node.depth()), self.buckets).0;
+        let own = bucket(&nodes[newcomer]);
+        let before = nodes[..newcomer].iter().rev().take_while(|node| bucket(node) == own).count();
+        let after = nodes[newcomer..].iter().take_while(|node| bucket(node) == own).count();
+        newcomer - before..newcomer + after
+    }
+}
+
+impl Merge<Alpha> for DepthBuckets {
+    type State = Interval;
+
+    fn begin(
+        &self,
+        _opacity: &Alpha,
+        pixel: &Pixel<'_>,
+        _nodes: &mut Vec<Node<Layer>>,
+        interval: &mut Interval,
+    ) {
+        *interval = self.range.interval(pixel.list);
+    }
+    fn is_overfull(
+        &self,
+        nodes: &[Node<Layer>],
+        newcomer: usize,
+        layers: usize,
+        interval: &mut Interval,
+    ) -> bool {
+        self.bucket(nodes, newcomer, interval).len() > layers
+    }
+    fn make_room(
+        &self,
+        opacity: &Alpha,
+        nodes: &mut Vec<Node<Layer>>,
+        newcomer: usize,
+        interval: &mut Interval,
+    ) -> Option<u32> {
+        let bucket = self.bucket(nodes, newcomer, interval);
+        merge_pair(opacity, nodes, bucket.end - 2);
+        None
+    }
+}
+
+/// Lists that split where little light is left.
+struct TransmittanceBuckets {
+    buckets: usize,
+    /// A full list that lets less through is split.
+    threshold: f64,
+}
+
+/// Which of the lists that begin at `starts` holds node `i`.
+fn list_of(starts: &[usize], i: usize) -> usize {
+    starts.partition_point(|start| *start <= i) - 1
+}
+
+impl Merge<Alpha> for TransmittanceBuckets {
+    /// The places where lists begin.
+    type State = Vec<usize>;
+
+    fn begin(
+        &self,
+        _opacity: &Alpha,
+        _pixel: &Pixel<'_>,
+        _nodes: &mut Vec<Node<Layer>>,
+        starts: &mut Vec<usize>,
+    ) {
+        starts.clear();
+        starts.push(0);
+    }
+    /// A newcomer belongs to the last list that begins in front of it, or else to the first.
+    fn is_overfull(
+        &self,
+        nodes: &[Node<Layer>],
+        newcomer: usize,
+        layers: usize,
+        starts: &mut Vec<usize>,
+    ) -> bool {
+        starts[1..].iter_mut().filter(|start| **start >= newcomer).for_each(|start| *start += 1);
+        let own = list_of(starts, newcomer);
+        let end = starts.get(own + 1).copied().unwrap_or(nodes.len());
+        end - starts[own] > layers
+    }
+    fn make_room(
+        &self,
+        opacity: &Alpha,
+        nodes: &mut Vec<Node<Layer>>,
+        newcomer: usize,
+        starts: &mut Vec<usize>,
+    ) -> Option<u32> {
+        let own = list_of(starts, newcomer);
+        let (start, end) = (starts[own], starts.get(own + 1).copied().unwrap_or(nodes.len()));
+        let is_dark = opacity.transmittance(&nodes[start..end]) < self.threshold;
+        if starts.len() < self.buckets && is_dark && newcomer != start {
+            starts.insert(own + 1, newcomer);
+        } else {
+            merge_pair(opacity, nodes, end - 2);
+            starts[own + 1..].iter_mut().for_each(|start| *start -= 1);
+        }
+        None
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::fragments::Fragment;
+    use crate::params::Input;
+    use crate::technique::Resolved;
+    use crate::techniques::testing::{
+        F32_STATE, Random, as_pixel, assert_close, build, fragment, over, random_pixel, resolve,
+    };
+    use glam::DVec3;
+
+    type Inputs<'a> = Vec<(&'a str, Input)>;
+
+    fn text<'a>(name: &'a str, value: &str) -> (&'a str, Input) {
+        (name, Input::Text(value.into()))
+    }
+
+    /// Layers and mode, and for `min_depth` the thresholds that keep every fragment.
+    fn whole(layers: i64, mode: &str) -> Inputs<'_> {
+        let mut inputs = vec![("layers", Input::Int(layers)), text("mode", mode)];
+        if mode == "min_depth" {
+            inputs.push(("front_threshold", Input::Float(-1.0)));
+            inputs.push(("opaque_threshold", Input::Float(2.0)));
+        }
+        inputs
+    }
+
+    const MODES: [&str; 3] = ["min_depth", "depth", "transmittance"];
+
+    fn mlab_buckets(inputs: &[(&str, Input)], pixel: &[Fragment]) -> Resolved {
+        resolve("mlab_buckets", inputs, pixel)
+    }
+
+    /// Transmittance just behind each whole depth from 0 to 9, as the stored layers have it.
+    fn steps(inputs: &[(&str, Input)], pixel: &[Fragment]) -> Vec<f64> {
+        let depths: Vec<f32> = (0..10_u8).map(|z| f32::from(z) + 0.5).collect();
+        let technique = build("mlab_buckets", inputs).unwrap();
+        as_pixel(pixel, |pixel| technique.transmittance(pixel, &depths)).unwrap()
+    }
+
+    #[test]
+    fn one_depth_bucket_is_mlab() {
+        for n in 1..=40 {
+            let pixel = random_pixel(n, u64::from(n) + 40);
+            for layers in [1, 2, 5] {
+                let mut inputs = whole(layers, "depth");
+                inputs.push(("buckets", Input::Int(1)));
+                let mlab = resolve("mlab", &[("layers", Input::Int(layers))], &pixel);
+                assert_eq!(mlab_buckets(&inputs, &pixel), mlab);
+            }
+        }
+    }
+
+    #[test]
+    fn without_overflow_it_is_over() {
+        for n in [1, 2, 5, 12, 40] {
+            let pixel = random_pixel(n, u64::from(n) + 60);
+            let (color, transmittance) = over(&pixel);
+            for mode in MODES {
+                let got = mlab_buckets(&whole(i64::from(n) + 1, mode), &pixel);
+                assert_close(got, color, transmittance, F32_STATE);
+            }
+        }
+    }
+
+    #[test]
+    fn ordered_streams_are_exact_in_every_mode() {
+        for n in [3, 8, 30] {
+            let mut pixel = random_pixel(n, u64::from(n) + 80);
+            pixel.iter_mut().for_each(|f| f.alpha = f.alpha.min(0.9));
+            let (color, transmittance) = over(&pixel);
+            for (mode, order) in MODES.iter().flat_map(|m| ["sorted", "back_to_front"].map(|o| (*m, o))) {
+                for layers in [1, 2, 4] {
+                    let mut inputs = vec![
+                        ("layers", Input::Int(layers)),
+                        text("mode", mode),
+                        text("submission_order", order),
+                        ("opaque_threshold", Input::Float(2.0)),
+                    ];
+                    for buckets in [1, 3] {
+                        inputs.push(("buckets", Input::Int(buckets)));
+                        let got = mlab_buckets(&inputs, &pixel);
+                        assert_close(got, color, transmittance, F32_STATE);
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn what_is_in_front_of_the_first_surface_shares_a_layer() {
+        let at = |z: f32, alpha| fragment(z, [1.0; 3], alpha, 0);
+        let pixel =
+            [at(7.0, 0.5), at(2.0, 0.125), at(5.0, 0.5), at(1.0, 0.125), at(6.0, 0.5), at(3.0, 0.125)];
+        let front = 0.875_f64.powi(3);
+        let inputs = [("layers", Input::Int(3))];
+        let expected = [
+            1.0,
+            front,
+            front,
+            front,
+            front,
+            front / 2.0,
+            front / 8.0,
+            front / 8.0,
+            front / 8.0,
+            front / 8.0,
+        ];
+        assert_eq!(steps(&inputs, &pixel), expected);
+        // without a surface there is only that layer
+        let faint = steps(&[("front_threshold", Input::Float(0.75))], &pixel);
+        assert_eq!(faint[1..], [front / 8.0; 9]);
+    }
+
+    #[test]
+    fn what_is_behind_the_opaque_is_dropped_and_hardly_missed() {
+        for (seed, threshold) in (0..20).zip([0.5, 0.8, 0.9, 0.98].into_iter().cycle()) {
+            let pixel = random_pixel(20, seed);
+            let room = |opaque| {
+                let inputs = [
+                    ("layers", Input::Int(30)),
+                    ("front_threshold", Input::Float(-1.0)),
+                    ("opaque_threshold", Input::Float(opaque)),
+                ];
+                mlab_buckets(&inputs, &pixel)
+            };
+            let (all, some) = (room(2.0), room(threshold));
+            let moved = (all.color - some.color).abs().max_element();
+            assert!(moved <= 1.0 - threshold, "{threshold}: {moved}");
+        }
+    }
+
+    #[test]
+    fn depth_buckets_keep_to_themselves() {
+        // a logarithmic scale from 1 to 9 has its middle at 3
+        let at = |z: f32| fragment(z, [1.0; 3], 0.5, 0);
+        let pixel = [9.0, 1.0, 2.0, 2.5, 4.0].map(at);
+        let inputs = [("layers", Input::Int(1)), text("mode", "depth"), ("buckets", Input::Int(2))];
+        assert_eq!(steps(&inputs, &pixel)[..5], [1.0, 0.125, 0.125, 0.125, 0.03125]);
+    }
+
+    #[test]
+    fn a_dark_list_splits_before_the_newcomer() {
+        let at = |z: f32| fragment(z, [1.0; 3], 0.75, 0);
+        let inputs = |buckets, threshold| {
+            vec![
+                ("layers", Input::Int(2)),
+                text("mode", "transmittance"),
+                ("buckets", Input::Int(buckets)),
+                ("transmittance_threshold", Input::Float(threshold)),
+            ]
+        };
+        let t = 0.25_f64;
+        // 5 splits {1, 5, 8} into {1} and {5, 8}, and 2 finds room behind 1
+        let pixel = [1.0, 8.0, 5.0, 2.0].map(at);
+        let all =
+            [1.0, t, t.powi(2), t.powi(2), t.powi(2), t.powi(3), t.powi(3), t.powi(3), t.powi(4), t.powi(4)];
+        assert_eq!(steps(&inputs(2, 0.1), &pixel), all);
+        // one list, or one that is not dark enough, merges 5 and 8, then 2 with both
+        let merged = [1.0, t, t.powi(4), t.powi(4)];
+        assert_eq!(steps(&inputs(1, 0.1), &pixel)[..4], merged);
+        assert_eq!(steps(&inputs(2, 0.001), &pixel)[..4], merged);
+    }
+
+    #[test]
+    fn buckets_save_layers_for_the_first_surfaces() {
+        let mut random = Random::new(5);
+        let mut errors = [DVec3::ZERO; 2];
+        for seed in 0..40 {
+            // many faint layers in front arrive after the surfaces
+            let mut pixel = random_pixel(24, 500 + seed);
+            for (i, f) in pixel.iter_mut().enumerate() {
+                let (z, alpha) = if i < 6 { (6.0, 0.7) } else { (1.0, 0.05) };
+                *f = fragment(z + 2.0 * random.unit(), f.color, alpha, f.primitive);
+            }
+            let exact = over(&pixel).0;
+            let plain = resolve("mlab", &[], &pixel).color;
+            for (error, got) in errors.iter_mut().zip([plain, mlab_buckets(&[], &pixel).color]) {
+                *error += (got - exact).powf(2.0);
+            }
+        }
+        assert!(errors[1].element_sum() < errors[0].element_sum(), "{errors:?}");
+    }
+}
