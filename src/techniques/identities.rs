@@ -429,6 +429,9 @@ fn averages_lose_a_lone_emission() {
         ("blended_oit", &[]),
         ("wboit", &[]),
         ("lwboit", &[]),
+        ("phenomenological", &[]),
+        ("mboit_power", &[]),
+        ("mboit_trig", &[]),
         ("lwboit", &absorbance),
         ("lwboit", &plain),
     ];

@@ -51,3 +51,49 @@ pub static INFO: Info = Info {
 fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
     Ok(technique(Powers::new(params.size("moments"), regularization(params)), params, view))
 }
+
+#[cfg(test)]
+mod tests {
+    use crate::params::{Input, Value};
+    use crate::techniques::testing::{assert_close, build, given, over, resolve, three_layers};
+
+    /// What the bias of single precision does to the layers' weights.
+    const BIASED: f64 = 5e-5;
+
+    fn beta(x: f64) -> (&'static str, Input) {
+        ("overestimation", Input::Float(x))
+    }
+
+    /// Sheet 2.5: without overestimation m / 2 + 1 layers are told apart.
+    #[test]
+    fn three_layers_are_exact_without_overestimation() {
+        let (color, transmittance) = over(&three_layers());
+        for moments in [4, 6, 8] {
+            let got = resolve("mboit_power", &[("moments", Input::Int(moments)), beta(0.0)], &three_layers());
+            assert_close(got, color, transmittance, BIASED);
+        }
+    }
+
+    /// Charged with all of themselves, the layers weigh 1 - alpha times as much.
+    #[test]
+    fn three_layers_with_full_overestimation_by_hand() {
+        // alphas 1/4, 1/2, 3/4 front to back: weights 3/4, 3/8, 3/32
+        let [middle, near, far] = [0, 1, 2].map(|i| glam::Vec3::from(three_layers()[i].color).as_dvec3());
+        let sum = 0.75 * near + 0.375 * middle + 0.093_75 * far;
+        let weight = 0.75 * 0.25 + 0.375 * 0.5 + 0.093_75 * 0.75;
+        let background = glam::Vec3::from(crate::techniques::testing::BACKGROUND).as_dvec3();
+        let expected = 0.906_25 * sum / weight + 0.093_75 * background;
+        assert_close(resolve("mboit_power", &[beta(1.0)], &three_layers()), expected, 0.093_75, BIASED);
+    }
+
+    #[test]
+    fn bias_and_memory_follow_the_moments() {
+        let complexity = crate::technique::DepthComplexity { mean: 3.0, max: 9 };
+        for (moments, bias, bytes) in [(4, 5e-7, 30.0), (6, 5e-6, 38.0), (8, 5e-5, 46.0)] {
+            let inputs = [("moments", Input::Int(moments))];
+            assert_eq!(given(&super::INFO, &inputs).value("bias"), Value::Float(bias));
+            let cost = build("mboit_power", &inputs).unwrap().cost(&complexity);
+            assert_eq!((cost.geometry_passes, cost.bytes_per_pixel), (2.0, bytes));
+        }
+    }
+}

@@ -59,3 +59,47 @@ fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
     let zone = params.float("wrapping_zone");
     Ok(technique(Harmonics::new(params.size("moments"), zone, regularization(params)), params, view))
 }
+
+#[cfg(test)]
+mod tests {
+    use crate::params::{Input, Value};
+    use crate::techniques::testing::{as_pixel, assert_close, build, given, over, resolve, three_layers};
+
+    /// What the bias of single precision does to the layers' weights.
+    const BIASED: f64 = 1e-4;
+
+    /// Sheet 2.5: without overestimation m + 1 layers are told apart.
+    #[test]
+    fn three_layers_are_exact_without_overestimation() {
+        let (color, transmittance) = over(&three_layers());
+        for moments in [2, 3, 4] {
+            let inputs = [("moments", Input::Int(moments)), ("overestimation", Input::Int(0))];
+            assert_close(resolve("mboit_trig", &inputs, &three_layers()), color, transmittance, BIASED);
+        }
+    }
+
+    /// With no gap the far end of the range is the near one, and what is there hides what is in front of it.
+    #[test]
+    fn the_wrapping_zone_keeps_the_ends_apart() {
+        let in_front = |zone: f64| {
+            let technique = build("mboit_trig", &[("wrapping_zone", Input::Float(zone))]).unwrap();
+            let ends = [three_layers()[1], three_layers()[2]];
+            let depths = [ends[0].depth];
+            as_pixel(&ends, |pixel| technique.transmittance(pixel, &depths).unwrap()[0])
+        };
+        // of the near layer's quarter of alpha, a quarter counts; with no gap also of the far layer's
+        assert!((in_front(0.3) - 0.75_f64.powf(0.25)).abs() < BIASED, "{}", in_front(0.3));
+        assert!((in_front(0.0) - (0.75_f64 * 0.25).powf(0.25)).abs() < BIASED, "{}", in_front(0.0));
+    }
+
+    #[test]
+    fn bias_and_memory_follow_the_moments() {
+        let complexity = crate::technique::DepthComplexity { mean: 3.0, max: 9 };
+        for (moments, bias, bytes) in [(2, 4e-7, 30.0), (3, 8e-7, 38.0), (4, 1.5e-6, 46.0)] {
+            let inputs = [("moments", Input::Int(moments))];
+            assert_eq!(given(&super::INFO, &inputs).value("bias"), Value::Float(bias));
+            let cost = build("mboit_trig", &inputs).unwrap().cost(&complexity);
+            assert_eq!((cost.geometry_passes, cost.bytes_per_pixel), (2.0, bytes));
+        }
+    }
+}

@@ -155,7 +155,7 @@ mod tests {
     use crate::continuum::moments::trigonometric::Harmonics;
     use crate::params::Input;
     use crate::techniques::testing::{
-        VIEW, as_pixel, assert_close, clear_pixels, exact_transmittance, fragment, given, mean_error,
+        VIEW, as_pixel, assert_close, build, clear_pixels, exact_transmittance, fragment, given, mean_error,
         random_pixel, resolve,
     };
     use crate::techniques::{find, mboit_power, mboit_trig};
@@ -258,6 +258,32 @@ mod tests {
             });
         }
         assert!(raised.iter().all(|n| *n <= 3), "{raised:?}");
+    }
+
+    /// Opaque fragments, coincident and clustered depths, and no bias but what the guard asks for.
+    #[test]
+    fn whatever_the_pixel_transmittance_is_a_share() {
+        let depths = [0.0, 0.5, 1.0, 4.999, 5.0, 5.000_001, 9.0, 1e30];
+        for bias in [None, Some(("bias", Input::Int(0)))] {
+            let inputs: Vec<_> = bias.into_iter().chain([("s_max", Input::Int(60))]).collect();
+            for seed in 0..150_u32 {
+                let mut pixel = random_pixel(seed % 70, seed.into());
+                for f in pixel.iter_mut().filter(|_| seed % 3 == 0) {
+                    f.depth = 5.0 + (f.depth - 5.0) * 1e-6;
+                }
+                as_pixel(&pixel, |pixel| {
+                    let seen =
+                        |technique: Box<dyn AnyTechnique>| technique.transmittance(pixel, &depths).unwrap();
+                    for (id, moments) in IDS.iter().flat_map(|id| [2, 3, 4].map(|m| (*id, m))) {
+                        let count =
+                            ("moments", Input::Int(if id == "mboit_power" { 2 * moments } else { moments }));
+                        let seen = seen(build(id, &[&inputs[..], &[count]].concat()).unwrap());
+                        let share = |t: &f64| (0.0..=1.0).contains(t);
+                        assert!(seen.iter().all(share), "{id} {moments} {seed}: {seen:?}");
+                    }
+                });
+            }
+        }
     }
 
     #[test]
