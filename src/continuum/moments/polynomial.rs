@@ -9,6 +9,10 @@ pub const MAX_DEGREE: usize = MAX_SIZE - 1;
 /// the distance each time.
 const MAX_STEPS: usize = 64;
 
+/// A step of Newton's method this small, relative, leaves an error of about its square; towards a multiple
+/// root one of its own size, which is less than what rounded coefficients do to such a root.
+const LAST_STEP: f64 = 1e-8;
+
 /// The value at `x`, and the derivative there. Coefficients ascend.
 fn evaluate(coefficients: &[f64], x: f64) -> (f64, f64) {
     coefficients.iter().rev().fold((0.0, 0.0), |(p, slope), c| (p * x + c, slope * x + p))
@@ -90,8 +94,11 @@ fn root_between(p: &[f64], mut low: f64, mut high: f64) -> f64 {
     for _ in 0..MAX_STEPS {
         let (value, slope) = evaluate(p, x);
         let newton = x - value / slope;
-        if value == 0.0 || (newton - x).abs() <= 2.0 * f64::EPSILON * x.abs() {
+        if value == 0.0 {
             return x;
+        }
+        if (newton - x).abs() <= LAST_STEP * x.abs() {
+            return newton;
         }
         if (value < 0.0) == (at_low < 0.0) {
             low = x;
