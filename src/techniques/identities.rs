@@ -215,17 +215,17 @@ fn order_matters_exactly_where_it_is_not_claimed_to_be_irrelevant() {
     }
 }
 
-<<<<<<< HEAD
 /// What another order may do to sums in f32. Moments amplify their rounding: the bias of the papers keeps it
 /// below what implementations may differ by, less bias below what they may at worst (sheet 2.5).
 fn rounding(variant: &Variant) -> f64 {
     let bias = variant.params.iter().find(|(name, _)| *name == "bias");
     match bias.map(|(_, value)| value) {
         None => OTHER_ORDER,
-        Some(crate::params::Value::Float(bias)) if bias >= 1e-7 => 2e-3,
+        Some(Value::Float(bias)) if bias >= 1e-7 => 2e-3,
         Some(_) => 0.1,
     }
-=======
+}
+
 /// Whether the size is such that order has next to nothing to decide: room for all fragments that there are,
 /// or for hardly any.
 fn hardly_ordered(params: &Params) -> bool {
@@ -234,7 +234,6 @@ fn hardly_ordered(params: &Params) -> bool {
         (_, Value::Int(size)) => size >= 33,
         _ => false,
     })
->>>>>>> 35352d4 (MLAB with depth buckets; merges may know the pixel)
 }
 
 /// Layers so faint that the last one still shows: nothing hides what an order does to the others.
