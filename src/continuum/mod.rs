@@ -15,6 +15,7 @@ pub mod oracle;
 pub mod polyline;
 pub mod range;
 pub mod samples;
+pub mod series;
 pub mod steps;
 pub mod stochastic;
 pub mod sums;

@@ -116,8 +116,9 @@ impl Map {
 }
 
 impl DensityClustering {
-    /// One pass: every fragment to the nearest centre, then every centre to the mean of what it got.
-    fn iterate(&self, pixel: &Pixel<'_>, map: &mut Map) {
+    /// One pass: every fragment to the nearest centre, then every centre to the mean of what it got. Says whether
+    /// a centre moved.
+    fn iterate(&self, pixel: &Pixel<'_>, map: &mut Map) -> bool {
         for cluster in &mut map.clusters {
             *cluster = Cluster { center: cluster.center, ..Cluster::default() };
         }
@@ -126,9 +127,13 @@ impl DensityClustering {
             let own = map.nearest(d);
             map.clusters[own].add(absorbance(alpha, self.s_max), d);
         }
+        let mut moved = false;
         for cluster in map.clusters.iter_mut().filter(|c| c.s > 0.0) {
-            cluster.center = cluster.sd / cluster.s;
+            let mean = cluster.sd / cluster.s;
+            moved |= cluster.center != mean;
+            cluster.center = mean;
         }
+        moved
     }
 }
 
@@ -143,7 +148,9 @@ impl Oracle for DensityClustering {
         map.clusters.clear();
         map.clusters.extend((0..self.clusters).map(|j| Cluster { center: center(j), ..Cluster::default() }));
         for _ in 0..self.iterations {
-            self.iterate(pixel, map);
+            if !self.iterate(pixel, map) {
+                break;
+            }
         }
         map.clusters.retain(|c| c.s > 0.0);
     }

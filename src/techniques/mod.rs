@@ -16,6 +16,7 @@ pub mod deep_shadow_maps;
 pub mod density_clustering;
 pub mod depth_peeling;
 pub mod dual_depth_peeling;
+pub mod fourier_opacity_maps;
 pub mod gs_wsr;
 pub mod hybrid_transparency;
 pub mod k_buffer;
@@ -31,6 +32,8 @@ pub mod painter;
 pub mod phenomenological;
 pub mod screen_door;
 pub mod stochastic_transparency;
+pub mod tfm;
+pub mod wavelet;
 pub mod wboit;
 pub mod weighted_average;
 pub mod weighted_sum;
@@ -55,7 +58,9 @@ pub static REGISTRY: &[&Info] = &[
     &multilayer_depth_peeling::INFO,
     &occupancy_maps::INFO,
     &stochastic_transparency::INFO,
+    &fourier_opacity_maps::INFO,
     &avsm::INFO,
+    &tfm::INFO,
     &adaptive_transparency::INFO,
     &hybrid_transparency::INFO,
     &weighted_average::INFO,
@@ -65,6 +70,7 @@ pub static REGISTRY: &[&Info] = &[
     &mlab_buckets::INFO,
     &phenomenological::INFO,
     &lwboit::INFO,
+    &wavelet::INFO,
     &mboit_power::INFO,
     &mboit_trig::INFO,
     &gs_wsr::INFO,

@@ -190,15 +190,20 @@ pub fn given(info: &Info, inputs: &[(&str, Input)]) -> Params {
     params(info, &owned(inputs)).unwrap()
 }
 
-/// Pixels of eight layers of alpha 0.1 to 0.9 anywhere in the test view's range: those of the sheet's numbers.
+/// Pixels of eight clear layers.
 pub fn clear_pixels(count: u64) -> Scene {
+    layered_pixels(count, 8)
+}
+
+/// Pixels of `layers` layers of alpha 0.1 to 0.9 anywhere in the test view's range: those of the sheet's numbers.
+pub fn layered_pixels(count: u64, layers: u32) -> Scene {
     let one = |seed| {
         let mut random = Random::new(seed + 1000);
         let mut layer = |i| {
             let (z, alpha) = (1.0 + 8.0 * random.unit(), 0.1 + 0.8 * random.unit());
             fragment(z, [random.unit(), random.unit(), random.unit()], alpha, i)
         };
-        (0..8).map(&mut layer).collect()
+        (0..layers).map(&mut layer).collect()
     };
     (0..count).map(one).collect()
 }
