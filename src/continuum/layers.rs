@@ -102,7 +102,7 @@ impl<I: Insertion<O>, M: Merge<O>, O: Opacity> Stream<I, M, O> {
         nodes.insert(at, Node { key, source, paint });
         self.opacity.occlude(nodes, at);
         if self.merge.is_overfull(nodes, at, self.layers, merge) {
-            lost.extend(self.merge.make_room(&self.opacity, nodes, at, merge));
+            self.merge.make_room(&self.opacity, nodes, at, merge, lost);
         }
     }
 

@@ -34,14 +34,15 @@ pub trait Merge<O: Opacity>: Send + Sync + 'static {
         nodes.len() > layers.saturating_add(Self::EXTRA_NODES)
     }
 
-    /// Removes one of the nodes. Returns the source of a node that is lost.
+    /// Removes the node that is one too many. `lost` gets the source of what is discarded.
     fn make_room(
         &self,
         opacity: &O,
         nodes: &mut Vec<Node<O::Paint>>,
         newcomer: usize,
         state: &mut Self::State,
-    ) -> Option<u32>;
+        lost: &mut Vec<u32>,
+    );
 }
 
 /// Merges node `j + 1` into the adjacent node `j`, which keeps its place.
@@ -62,8 +63,9 @@ impl<O: Opacity> Merge<O> for DiscardFurthest {
         nodes: &mut Vec<Node<O::Paint>>,
         _newcomer: usize,
         (): &mut (),
-    ) -> Option<u32> {
-        nodes.pop().map(|node| node.source)
+        lost: &mut Vec<u32>,
+    ) {
+        lost.extend(nodes.pop().map(|node| node.source));
     }
 }
 
@@ -79,9 +81,9 @@ impl<O: Opacity> Merge<O> for OverFurthest {
         nodes: &mut Vec<Node<O::Paint>>,
         _newcomer: usize,
         (): &mut (),
-    ) -> Option<u32> {
+        _lost: &mut Vec<u32>,
+    ) {
         merge_pair(opacity, nodes, nodes.len() - 2);
-        None
     }
 }
 
@@ -103,9 +105,9 @@ impl<O: Opacity> Merge<O> for OverNearest {
         nodes: &mut Vec<Node<O::Paint>>,
         _newcomer: usize,
         (): &mut (),
-    ) -> Option<u32> {
+        _lost: &mut Vec<u32>,
+    ) {
         merge_pair(opacity, nodes, 0);
-        None
     }
 }
 
@@ -124,7 +126,8 @@ impl<O: Opacity> Merge<O> for OverClosest {
         nodes: &mut Vec<Node<O::Paint>>,
         _newcomer: usize,
         (): &mut (),
-    ) -> Option<u32> {
+        _lost: &mut Vec<u32>,
+    ) {
         let gap = |j: usize| f64::from(nodes[j + 1].depth()) - f64::from(nodes[j].depth());
         let j = smallest(0..nodes.len() - 1, gap);
         if self.mean_depth {
@@ -133,7 +136,6 @@ impl<O: Opacity> Merge<O> for OverClosest {
             nodes[j].set_depth(mean);
         }
         merge_pair(opacity, nodes, j);
-        None
     }
 }
 
@@ -154,7 +156,8 @@ impl<O: Opacity> Merge<O> for SmallestError {
         nodes: &mut Vec<Node<O::Paint>>,
         _newcomer: usize,
         (): &mut (),
-    ) -> Option<u32> {
+        _lost: &mut Vec<u32>,
+    ) {
         let shown = |shown, nodes: &[Node<O::Paint>]| {
             nodes.iter().fold(shown, |shown, node| opacity.behind(shown, &node.paint))
         };
@@ -168,7 +171,6 @@ impl<O: Opacity> Merge<O> for SmallestError {
         };
         let j = smallest(self.protected..nodes.len(), error);
         merge_pair(opacity, nodes, j - 1);
-        None
     }
 }
 
@@ -196,10 +198,10 @@ impl<O: Opacity> Merge<O> for OverArrival {
         nodes: &mut Vec<Node<O::Paint>>,
         newcomer: usize,
         (): &mut (),
-    ) -> Option<u32> {
+        _lost: &mut Vec<u32>,
+    ) {
         let node = nodes.remove(1 - newcomer);
         opacity.merge(&mut nodes[0].paint, &node.paint);
-        None
     }
 }
 
@@ -215,7 +217,8 @@ impl<O: Opacity> Merge<O> for NoMerge {
         _nodes: &mut Vec<Node<O::Paint>>,
         _newcomer: usize,
         (): &mut (),
-    ) -> Option<u32> {
+        _lost: &mut Vec<u32>,
+    ) {
         unreachable!("an unbounded list does not overflow")
     }
 }
@@ -261,9 +264,33 @@ impl<O: Opacity> Merge<O> for DiscardOccupied {
         nodes: &mut Vec<Node<O::Paint>>,
         newcomer: usize,
         interval: &mut Interval,
-    ) -> Option<u32> {
+        lost: &mut Vec<u32>,
+    ) {
         let bin = |node: &Node<O::Paint>| cell(interval.position(node.depth()), self.bins).0;
         let is_nearer = nodes.get(newcomer + 1).is_some_and(|node| bin(node) == bin(&nodes[newcomer]));
-        Some(nodes.remove(newcomer + usize::from(is_nearer)).source)
+        lost.push(nodes.remove(newcomer + usize::from(is_nearer)).source);
+    }
+}
+
+/// Nodes that nothing shows of are discarded: the depth test of samples.
+#[derive(Debug, Clone, Copy)]
+pub struct DiscardOccluded;
+
+impl<O: Opacity> Merge<O> for DiscardOccluded {
+    type State = ();
+
+    fn is_overfull(&self, _nodes: &[Node<O::Paint>], _newcomer: usize, _layers: usize, (): &mut ()) -> bool {
+        true
+    }
+    fn make_room(
+        &self,
+        opacity: &O,
+        nodes: &mut Vec<Node<O::Paint>>,
+        newcomer: usize,
+        (): &mut (),
+        lost: &mut Vec<u32>,
+    ) {
+        let shows = |node: &Node<O::Paint>| opacity.behind(opacity.clear(), &node.paint) < opacity.clear();
+        lost.extend(nodes.extract_if(newcomer.., |node| !shows(node)).map(|node| node.source));
     }
 }

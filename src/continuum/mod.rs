@@ -4,6 +4,7 @@ pub mod absorbance;
 pub mod binned;
 pub mod bins;
 pub mod coverage;
+pub mod door;
 pub mod insertion;
 pub mod layers;
 pub mod masks;

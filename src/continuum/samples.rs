@@ -31,10 +31,11 @@ impl Shown {
         blend(mean, 1.0, uncovered(self.covered, samples), background)
     }
 
-    /// The mean of the covered samples; none where there are none.
+    /// The mean of those of `samples` samples that are covered; none where there are none.
     #[expect(clippy::cast_precision_loss, reason = "far fewer than 2^53 samples")]
-    pub fn average(&self) -> Option<DVec3> {
-        (self.covered > 0).then(|| self.color / self.covered as f64)
+    pub fn average(&self, samples: usize) -> Option<DVec3> {
+        let samples = samples as f64;
+        (self.covered > 0).then(|| self.color / samples / (self.covered as f64 / samples))
     }
 }
 
@@ -85,11 +86,11 @@ mod tests {
     #[test]
     fn means_by_hand() {
         let mut shown = Shown::BACKGROUND;
-        assert_eq!(shown.average(), None);
+        assert_eq!(shown.average(4), None);
         assert_eq!(shown.over(4, DVec3::ONE), Resolved::background(DVec3::ONE));
         shown.add(1, DVec3::X);
         shown.add(2, DVec3::new(0.0, 0.5, 8.0));
-        assert_eq!(shown.average(), Some(DVec3::new(1.0, 1.0, 16.0) / 3.0));
+        assert_eq!(shown.average(4), Some(DVec3::new(1.0, 1.0, 16.0) / 3.0));
         assert_eq!(shown.over(4, DVec3::ONE), Resolved::new(DVec3::new(0.5, 0.5, 4.25), 0.25));
     }
 

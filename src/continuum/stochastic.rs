@@ -5,7 +5,9 @@ use super::coverage::{Coverage, Samples};
 use super::insertion::{Arrival, Insertion};
 use super::masks::Words;
 use super::opacity::{Alpha, Layer, Opacity};
+use crate::fragments::Fragment;
 use crate::random::Draws;
+use crate::technique::Pixel;
 
 /// With masks: a fragment enters if it has a sample of its own.
 #[derive(Debug, Clone, Copy)]
@@ -35,15 +37,20 @@ pub struct VisibleByChance {
 /// Keeps these draws apart from those of masks.
 const INSERTION: u32 = 0x494E_5345;
 
+impl VisibleByChance {
+    /// Whether the fragment enters, if what is stored in front of it covers `occlusion`.
+    pub fn shows(&self, pixel: &Pixel<'_>, fragment: &Fragment, occlusion: impl FnOnce() -> f64) -> bool {
+        let draws = Draws::new(pixel.x, pixel.y, fragment.primitive, self.seed);
+        draws.unit(INSERTION) < self.probability.of(occlusion, fragment.alpha.into())
+    }
+}
+
 impl Insertion<Alpha> for VisibleByChance {
     type State = ();
 
     fn admit(&self, arrival: &Arrival<'_, Alpha>, (): &mut ()) -> Option<Layer> {
-        let Arrival { pixel, fragment, in_front, opacity, .. } = arrival;
-        let occlusion = || 1.0 - opacity.transmittance(in_front);
-        let draws = Draws::new(pixel.x, pixel.y, fragment.primitive, self.seed);
-        let inserted = draws.unit(INSERTION) < self.probability.of(occlusion, fragment.alpha.into());
-        if inserted { arrival.paint() } else { None }
+        let occlusion = || 1.0 - arrival.opacity.transmittance(arrival.in_front);
+        if self.shows(arrival.pixel, arrival.fragment, occlusion) { arrival.paint() } else { None }
     }
 }
 

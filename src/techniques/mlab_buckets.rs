@@ -175,10 +175,10 @@ impl Merge<Alpha> for FrontBucket {
         nodes: &mut Vec<Node<Layer>>,
         _newcomer: usize,
         surface: &mut u64,
-    ) -> Option<u32> {
+        _lost: &mut Vec<u32>,
+    ) {
         let overfull = if Self::split(nodes, *surface) > 1 { 0 } else { nodes.len() - 2 };
         merge_pair(opacity, nodes, overfull);
-        None
     }
 }
 
@@ -226,10 +226,10 @@ impl Merge<Alpha> for DepthBuckets {
         nodes: &mut Vec<Node<Layer>>,
         newcomer: usize,
         interval: &mut Interval,
-    ) -> Option<u32> {
+        _lost: &mut Vec<u32>,
+    ) {
         let bucket = self.bucket(nodes, newcomer, interval);
         merge_pair(opacity, nodes, bucket.end - 2);
-        None
     }
 }
 
@@ -278,7 +278,8 @@ impl Merge<Alpha> for TransmittanceBuckets {
         nodes: &mut Vec<Node<Layer>>,
         newcomer: usize,
         starts: &mut Vec<usize>,
-    ) -> Option<u32> {
+        _lost: &mut Vec<u32>,
+    ) {
         let own = list_of(starts, newcomer);
         let (start, end) = (starts[own], starts.get(own + 1).copied().unwrap_or(nodes.len()));
         let is_dark = opacity.transmittance(&nodes[start..end]) < self.threshold;
@@ -288,7 +289,6 @@ impl Merge<Alpha> for TransmittanceBuckets {
             merge_pair(opacity, nodes, end - 2);
             starts[own + 1..].iter_mut().for_each(|start| *start -= 1);
         }
-        None
     }
 }
 

@@ -1,5 +1,6 @@
 //! Screen-door transparency (Fuchs et al. 1985) by alpha to coverage: the same samples for the same alpha.
 
+use crate::continuum::door::Thresholds;
 use crate::continuum::samples::{Shown, uncovered, unmultiplied};
 use crate::continuum::steps::Steps;
 use crate::error::Result;
@@ -41,32 +42,20 @@ pub static INFO: Info = Info {
 };
 
 fn build(params: &Params, _view: &View) -> Result<Box<dyn AnyTechnique>> {
-    Ok(Box::new(ScreenDoor { samples: params.size("samples") }))
+    Ok(Box::new(ScreenDoor { thresholds: Thresholds { samples: params.size("samples") } }))
 }
 
 struct ScreenDoor {
-    samples: usize,
+    thresholds: Thresholds,
 }
 
 impl ScreenDoor {
-    /// How many thresholds `θ_s` = (s + ½) / S an alpha exceeds. Which samples these are does not matter, as long
-    /// as it is the same ones every time.
-    #[expect(
-        clippy::cast_precision_loss,
-        clippy::cast_possible_truncation,
-        clippy::cast_sign_loss,
-        reason = "0 <= a S <= S"
-    )]
-    fn coverage(&self, alpha: f32) -> usize {
-        (f64::from(alpha) * self.samples as f64 - 0.5).ceil().max(0.0) as usize
-    }
-
     /// Calls `show` with every fragment that some sample shows, nearest first, with how many do and how many
     /// are covered then. A fragment that covers more samples than those in front shows in the surplus.
     fn each_shown(&self, sorted: List<'_>, mut show: impl FnMut(&Fragment, usize, usize)) {
         let mut covered = 0;
         for fragment in sorted.iter() {
-            let coverage = self.coverage(fragment.alpha);
+            let coverage = self.thresholds.coverage(fragment.alpha);
             if coverage > covered {
                 show(&fragment, coverage - covered, coverage);
                 covered = coverage;
@@ -82,20 +71,23 @@ impl Technique for ScreenDoor {
     fn resolve(&self, pixel: &Pixel<'_>, (): &mut ()) -> Resolved {
         let mut shown = Shown::BACKGROUND;
         self.each_shown(pixel.sorted, |fragment, visible, _| shown.add(visible, unmultiplied(fragment)));
-        shown.over(self.samples, pixel.background)
+        shown.over(self.thresholds.samples, pixel.background)
     }
 
     fn transmittance(&self, pixel: &Pixel<'_>, depths: &[f32], (): &mut ()) -> Option<Vec<f64>> {
         let mut steps = Steps::default();
         self.each_shown(pixel.sorted, |fragment, _, covered| {
-            steps.push(sort_key(fragment.depth, fragment.primitive), uncovered(covered, self.samples));
+            steps.push(
+                sort_key(fragment.depth, fragment.primitive),
+                uncovered(covered, self.thresholds.samples),
+            );
         });
         Some(depths.iter().map(|&depth| steps.at(depth)).collect())
     }
 
     #[expect(clippy::cast_precision_loss, reason = "a cost estimate")]
     fn cost(&self, _complexity: &DepthComplexity) -> Cost {
-        Cost { geometry_passes: 1.0, bytes_per_pixel: 8.0 * self.samples as f64 }
+        Cost { geometry_passes: 1.0, bytes_per_pixel: 8.0 * self.thresholds.samples as f64 }
     }
 
     fn properties(&self) -> Properties {
