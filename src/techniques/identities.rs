@@ -2,6 +2,7 @@
 //! section 3).
 
 mod lists;
+mod oracles;
 
 use super::testing::{
     BACKGROUND, Random, difference, fragment, over, params, random_pixel, resolve, resolve_all, run,
