@@ -4,8 +4,8 @@
 use crate::fragments::Fragment;
 use crate::order::sort_key;
 
-/// A face of a fragment, in the order in which light from the background meets them last: by depth, primitive,
-/// front before back.
+/// A face of a fragment. Faces are ordered as a ray from the eye meets them: by depth, then primitive, front
+/// before back.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Label {
     key: u64,
