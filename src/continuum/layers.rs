@@ -6,6 +6,7 @@ use super::merge::Merge;
 use super::normalize::Normalize;
 use super::opacity::Opacity;
 use super::oracle::{Composite, Oracle};
+use super::steps::Steps;
 use crate::fragments::Fragment;
 use crate::order::sort_key;
 use crate::technique::{Cost, DepthComplexity, Pixel, Properties, Resolved, Technique};
@@ -177,47 +178,39 @@ pub struct StoredSteps<I, M, O> {
     pub properties: Properties,
 }
 
-/// A pixel's step function.
-pub struct Steps<P, S> {
+/// A pixel's list and its step function.
+pub struct StoredMap<P, S> {
     stored: Stored<P, S>,
-    /// Each node's key and the transmittance just behind it.
-    behind: Vec<(u64, f64)>,
+    steps: Steps,
 }
 
-impl<P, S: Default> Default for Steps<P, S> {
+impl<P, S: Default> Default for StoredMap<P, S> {
     fn default() -> Self {
-        Self { stored: Stored::default(), behind: Vec::new() }
-    }
-}
-
-impl<P, S> Steps<P, S> {
-    fn before(&self, key: u64) -> f64 {
-        let in_front = self.behind.partition_point(|step| step.0 < key);
-        in_front.checked_sub(1).map_or(1.0, |last| self.behind[last].1)
+        Self { stored: Stored::default(), steps: Steps::default() }
     }
 }
 
 impl<I: Insertion<O>, M: Merge<O>, O: Opacity> Oracle for StoredSteps<I, M, O> {
-    type Map = Steps<O::Paint, States<I, M, O>>;
+    type Map = StoredMap<O::Paint, States<I, M, O>>;
 
     fn build(&self, pixel: &Pixel<'_>, map: &mut Self::Map) {
         self.stream.store(pixel, &mut map.stored);
         let opacity = &self.stream.opacity;
         let mut shown = opacity.clear();
-        map.behind.clear();
+        map.steps.clear();
         for node in &map.stored.nodes {
             shown = opacity.behind(shown, &node.paint);
-            map.behind.push((node.key, shown / opacity.clear()));
+            map.steps.push(node.key, shown / opacity.clear());
         }
     }
     fn in_front_of(&self, map: &Self::Map, fragment: &Fragment) -> f64 {
-        map.before(sort_key(fragment.depth, fragment.primitive))
+        map.steps.in_front_of(sort_key(fragment.depth, fragment.primitive))
     }
     fn at(&self, map: &Self::Map, depth: f32) -> f64 {
-        map.before(sort_key(depth, 0))
+        map.steps.at(depth)
     }
     fn total(&self, map: &Self::Map) -> f64 {
-        map.behind.last().map_or(1.0, |step| step.1)
+        map.steps.total()
     }
     fn cost(&self, _complexity: &DepthComplexity) -> Cost {
         self.cost

@@ -146,23 +146,20 @@ impl RandomMasks {
         let draws = Draws::new(x, y, primitive, self.seed);
         mask.reset(self.bits);
         if self.stratified {
-            choose(rounded(alpha, self.bits, draws), self.bits, draws, mask);
+            #[expect(clippy::cast_possible_truncation, reason = "masks have fewer than 2^32 bits")]
+            let samples = rounded(alpha, self.bits as u32, draws) as usize;
+            choose(samples, self.bits, draws, mask);
         } else {
             toss(alpha, self.bits, draws, mask);
         }
     }
 }
 
-/// a b, rounded up with the probability of its fraction.
-#[expect(
-    clippy::cast_precision_loss,
-    clippy::cast_possible_truncation,
-    clippy::cast_sign_loss,
-    reason = "0 <= a b <= b"
-)]
-pub fn rounded(alpha: f32, bits: usize, draws: Draws) -> usize {
-    let exact = f64::from(alpha) * bits as f64;
-    exact as usize + usize::from(draws.unit(ROUNDING) < exact.fract())
+/// a L, rounded up with the probability of its fraction.
+#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "0 <= a L <= L")]
+pub fn rounded(alpha: f32, levels: u32, draws: Draws) -> u32 {
+    let exact = f64::from(alpha) * f64::from(levels);
+    exact as u32 + u32::from(draws.unit(ROUNDING) < exact.fract())
 }
 
 /// Adds `m` of `bits` samples to an empty mask, every choice as likely as another: what the first m entries of

@@ -25,12 +25,14 @@ pub mod mboit_power;
 pub mod mboit_trig;
 pub mod mlab;
 pub mod mlab_buckets;
+pub mod mlcb;
 pub mod multilayer_depth_peeling;
 pub mod occupancy_maps;
 pub mod opacity_shadow_maps;
 pub mod painter;
 pub mod phenomenological;
 pub mod screen_door;
+pub mod slab;
 pub mod stochastic_transparency;
 pub mod tfm;
 pub mod wavelet;
@@ -69,6 +71,8 @@ pub static REGISTRY: &[&Info] = &[
     &mlab::INFO,
     &mlab_buckets::INFO,
     &phenomenological::INFO,
+    &slab::INFO,
+    &mlcb::INFO,
     &lwboit::INFO,
     &wavelet::INFO,
     &mboit_power::INFO,
