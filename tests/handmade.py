@@ -21,6 +21,17 @@ STATS = Stats(
     threads=2,
 )
 
+FIELDS = (
+    "color",
+    "transmittance",
+    "technique",
+    "params",
+    "scene_hash",
+    "stats",
+    "first_depth",
+    "fragment_count",
+)
+
 
 def frame(color: Any, *, technique: str = "wboit", **fields: Any) -> Frame:
     """Make a frame around an image; every other field can be replaced by keyword."""

@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from threading import Lock
+from typing import Any, Generic, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+
+Floats: TypeAlias = NDArray[np.float32] | NDArray[np.float64]
+_T = TypeVar("_T")
+Later: TypeAlias = _T | Callable[[], _T]
+"""A value, or a function without arguments that makes it."""
 
 
 @dataclass(frozen=True)
@@ -26,8 +33,8 @@ class Stats:
     depth_complexity_mean: float
     """Fragments per pixel, over all pixels of the image."""
     depth_complexity_max: int
-    geometry_passes: int | str
-    bytes_per_pixel: float | str
+    geometry_passes: float
+    bytes_per_pixel: float
     dropped: int
     """Fragments that the technique's capacity had no room for."""
     skipped: dict[str, int]
@@ -36,11 +43,43 @@ class Stats:
     threads: int
 
 
-@dataclass(frozen=True, eq=False)
+class _Cell(Generic[_T]):
+    """A field that may be made later."""
+
+    __slots__ = ("_lock", "given")
+
+    def __init__(self, given: Later[_T]) -> None:
+        self.given = given
+        self._lock = Lock()
+
+    def get(self) -> _T:
+        """Make the value unless it is there; threads that ask at the same time get the same one."""
+        with self._lock:
+            if callable(self.given):
+                self.given = self.given()
+            return self.given
+
+
+_FIELDS = (
+    "color",
+    "transmittance",
+    "technique",
+    "params",
+    "scene_hash",
+    "stats",
+    "first_depth",
+    "fragment_count",
+)
+
+
 class Frame:
     """An image by one technique. Arrays belong to the frame and are writable; row 0 is on top.
 
-    Attributes
+    The fields themselves cannot be set; `replace` makes a changed copy. Frames compare by identity and can be
+    pickled. What is given as a function is made when it is first asked for and then kept, so that a rendered
+    frame costs nothing that nobody looks at; until then it keeps alive what it was rendered from.
+
+    Parameters
     ----------
     color : (H, W, 3) float32 or float64
         Linear RGB (Rec. 709 primaries, D65), background included.
@@ -50,23 +89,108 @@ class Frame:
         The technique's id; aliases are resolved.
     params : dict
         Every parameter with its value, defaults included.
-    scene_hash : str
+    scene_hash : str, or a function that gives it
         `content_hash` of what was rendered.
     stats : Stats
-    first_depth : (H, W) float32
+    first_depth : (H, W) float32, or a function that gives it
         Depth of the nearest transparent fragment, +inf where there is none.
-    fragment_count : (H, W) uint32
+    fragment_count : (H, W) uint32, or a function that gives it
+
+    Examples
+    --------
+    >>> import oitlab
+    >>> frame = oitlab.render(oitlab.scenes.squares(width=32, height=18), "wboit")
+    >>> frame.first_depth.shape, frame.first_depth is frame.first_depth
+    ((18, 32), True)
+    >>> frame.replace(technique="mine").technique
+    'mine'
     """
 
-    color: NDArray[np.float32] | NDArray[np.float64]
-    transmittance: NDArray[np.float32] | NDArray[np.float64]
-    technique: str
-    params: dict[str, Any]
-    scene_hash: str
-    stats: Stats
-    first_depth: NDArray[np.float32]
-    fragment_count: NDArray[np.uint32]
+    __slots__ = tuple(f"_{name}" for name in _FIELDS)
+
+    def __init__(
+        self,
+        *,
+        color: Floats,
+        transmittance: Floats,
+        technique: str,
+        params: dict[str, Any],
+        scene_hash: Later[str],
+        stats: Stats,
+        first_depth: Later[NDArray[np.float32]],
+        fragment_count: Later[NDArray[np.uint32]],
+    ) -> None:
+        self._color = color
+        self._transmittance = transmittance
+        self._technique = technique
+        self._params = params
+        self._scene_hash = _Cell(scene_hash)
+        self._stats = stats
+        self._first_depth = _Cell(first_depth)
+        self._fragment_count = _Cell(fragment_count)
+
+    @property
+    def color(self) -> Floats:
+        """(H, W, 3) linear RGB, background included."""
+        return self._color
+
+    @property
+    def transmittance(self) -> Floats:
+        """(H, W) or (H, W, 3): the background's share."""
+        return self._transmittance
+
+    @property
+    def technique(self) -> str:
+        """The technique's id."""
+        return self._technique
+
+    @property
+    def params(self) -> dict[str, Any]:
+        """Every parameter with its value."""
+        return self._params
+
+    @property
+    def scene_hash(self) -> str:
+        """`content_hash` of what was rendered."""
+        return self._scene_hash.get()
+
+    @property
+    def stats(self) -> Stats:
+        """What the frame cost."""
+        return self._stats
+
+    @property
+    def first_depth(self) -> NDArray[np.float32]:
+        """(H, W) float32 depth of the nearest transparent fragment, +inf where there is none."""
+        return self._first_depth.get()
+
+    @property
+    def fragment_count(self) -> NDArray[np.uint32]:
+        """(H, W) uint32: transparent fragments of each pixel."""
+        return self._fragment_count.get()
+
+    def replace(self, **changes: Any) -> Frame:
+        """Copy with some constructor arguments changed; what nobody asked for yet stays unmade.
+
+        Raises
+        ------
+        TypeError
+            A name that the constructor does not have.
+        """
+        unknown = changes.keys() - set(_FIELDS)
+        if unknown:
+            raise TypeError(f"Frame has no {sorted(unknown)}; it has {', '.join(_FIELDS)}")
+        fields = {name: getattr(self, f"_{name}") for name in _FIELDS}
+        given = {name: item.given if isinstance(item, _Cell) else item for name, item in fields.items()}
+        return Frame(**{**given, **changes})
 
     def __repr__(self) -> str:
         height, width = self.color.shape[:2]
         return f"Frame({self.technique!r}, {self.params}, {width} x {height}, {self.stats.total_ms:.1f} ms)"
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _rebuild, ({name: getattr(self, name) for name in _FIELDS},)
+
+
+def _rebuild(keywords: dict[str, Any]) -> Frame:
+    return Frame(**keywords)

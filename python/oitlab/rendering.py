@@ -190,8 +190,8 @@ def _frame(raw: _oitlab.Frame) -> Frame:
         transmittance=raw.transmittance,
         technique=raw.technique,
         params=raw.params,
-        scene_hash=raw.source_hash,
+        scene_hash=lambda: raw.source_hash,
         stats=Stats(**raw.stats),
-        first_depth=raw.first_depth,
-        fragment_count=raw.fragment_count,
+        first_depth=lambda: raw.first_depth,
+        fragment_count=lambda: raw.fragment_count,
     )

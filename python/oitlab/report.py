@@ -7,7 +7,7 @@ import io
 import math
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from ._atomic import replacing
@@ -47,9 +47,9 @@ class Row:
         NaN that the registry has no wboit.
     resolve_ms : float
         Milliseconds that the technique itself took, rasterisation not included.
-    bytes_per_pixel : float or str
+    bytes_per_pixel : float
         Memory of a streaming GPU implementation.
-    geometry_passes : int or str
+    geometry_passes : float
         Times such an implementation draws the geometry.
     dropped : int
         Fragments that the technique's capacity lost.
@@ -67,8 +67,8 @@ class Row:
     mse_255: float
     factor: float
     resolve_ms: float
-    bytes_per_pixel: float | str
-    geometry_passes: int | str
+    bytes_per_pixel: float
+    geometry_passes: float
     dropped: int
 
 
@@ -188,7 +188,7 @@ def _rendered(
     kept = capture(scene, threads=threads)
     for technique, params in jobs:
         frame = render(kept, technique, params, threads=threads)
-        yield replace(frame, scene_hash=scene.content_hash)
+        yield frame.replace(scene_hash=lambda: scene.content_hash)
 
 
 def _baseline_mse(
@@ -323,7 +323,5 @@ def _factor_text(factor: float) -> str:
     return f"{factor:.3g}" if factor < 1e6 else "> 1e6"
 
 
-def _count_text(count: float | str) -> str:
-    if isinstance(count, str):
-        return count
+def _count_text(count: float) -> str:
     return f"{count:,.0f}" if float(count).is_integer() else f"{count:,.1f}"
