@@ -7,20 +7,22 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, TypeVar, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 Vec3 = tuple[float, float, float]
+_Text = TypeVar("_Text", bound=str)
 
 
 def array(value: ArrayLike, name: str, dtype: DTypeLike, shape: tuple[int | str, ...]) -> NDArray[Any]:
     """Contiguous array of `dtype`; a string in `shape` stands for any length.
 
-    Raises ValueError naming the argument for ragged, non-numeric or wrongly shaped input, and for floats
-    where integers are needed.
+    Raises ValueError naming the argument for ragged, non-numeric, masked or wrongly shaped input, and for
+    floats where integers are needed.
     """
+    refuse_masked(value, name)
     try:
         given = np.asarray(value)
     except (ValueError, TypeError) as error:
@@ -34,6 +36,13 @@ def array(value: ArrayLike, name: str, dtype: DTypeLike, shape: tuple[int | str,
         _check_integer_range(given, name, wanted)
     with np.errstate(over="ignore"):
         return np.asarray(given, dtype=wanted, order="C")
+
+
+def refuse_masked(value: Any, name: str) -> None:
+    """Raise on masked values, which NumPy would silently take for ordinary ones."""
+    items = value if isinstance(value, list | tuple) else [value]
+    if any(isinstance(item, np.ma.MaskedArray) and np.ma.is_masked(item) for item in items):
+        raise ValueError(f"{name} has masked values, which have no meaning here; replace them by `filled`")
 
 
 def _empty(given: NDArray[Any], wanted: np.dtype[Any], shape: tuple[int | str, ...]) -> NDArray[Any]:
@@ -78,15 +87,39 @@ def scalar(value: Any, name: str) -> float:
     return float(array(value, name, np.float64, ()))
 
 
-def count(value: Any, name: str) -> int:
-    """One integer that is not negative; its upper range is the core's business."""
-    try:
-        number = operator.index(value)
-    except TypeError:
-        raise ValueError(f"{name} must be an integer, got {value!r}") from None
+def count(value: Any, name: str, *, bits: int = 63) -> int:
+    """One integer that is not negative and fits in `bits`; its true upper range is the core's business."""
+    number = integer(value, name)
     if number < 0:
         raise ValueError(f"{name} must not be negative, got {number}")
+    if number >= 2**bits:
+        raise ValueError(f"{name} must be less than 2**{bits}, got {number}")
     return number
+
+
+def integer(value: Any, name: str) -> int:
+    """One integer; refuses booleans, which `operator.index` would take."""
+    try:
+        if not isinstance(value, bool):
+            return operator.index(value)
+    except TypeError:
+        pass
+    raise ValueError(f"{name} must be an integer, got {value!r}")
+
+
+def flag(value: Any, name: str) -> bool:
+    """Take True or False; nothing else, because bool("no") is True."""
+    if not isinstance(value, bool | np.bool_):
+        raise ValueError(f"{name} must be True or False, got {value!r}")
+    return bool(value)
+
+
+def choice(value: _Text, name: str, literal: Any) -> _Text:
+    """One of the strings of a `Literal`."""
+    allowed = get_args(literal)
+    if not isinstance(value, str) or value not in allowed:
+        raise ValueError(f"{name} must be one of {', '.join(map(repr, allowed))}, got {value!r}")
+    return value
 
 
 def params(value: Mapping[str, Any] | None, technique: str) -> dict[str, Any]:
@@ -95,6 +128,9 @@ def params(value: Mapping[str, Any] | None, technique: str) -> dict[str, Any]:
         return {}
     if not isinstance(value, Mapping):
         raise ValueError(f"params of {technique!r} must be a mapping, got {type(value).__name__}")
+    for key in value:
+        if not isinstance(key, str):
+            raise ValueError(f"params of {technique!r} must have names for keys, got {key!r}")
     return {key: _python_value(item) for key, item in value.items()}
 
 

@@ -14,7 +14,8 @@ from dataclasses import dataclass, field
 from importlib.util import find_spec
 from typing import Any
 
-from ._material import AlphaMode, Material
+from ._material import Material
+from .mesh import AlphaMode
 
 Json = dict[str, Any]
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-AlphaMode = Literal["opaque", "blend", "mask"]
+from .mesh import AlphaMode
+
 Rgba = tuple[float, float, float, float]
 
 DEFAULT_COLOR: Rgba = (0.6, 0.6, 0.6, 1.0)

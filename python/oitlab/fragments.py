@@ -74,15 +74,16 @@ class Fragments:
         depth_range: tuple[float, float] | None = None,
         primitive_depth: ArrayLike | None = None,
     ) -> None:
+        columns, rows = count(width, "width"), count(height, "height")
         self._handle = _oitlab.Fragments(
-            count(width, "width"),
-            count(height, "height"),
+            columns,
+            rows,
             array(offsets, "offsets", np.int64, ("H*W+1",)),
             array(depth, "depth", np.float32, ("N",)),
             array(color, "color", np.float32, ("N", 3)),
             array(alpha, "alpha", np.float32, ("N",)),
             None if primitive is None else array(primitive, "primitive", np.uint32, ("N",)),
-            _background(background, width, height),
+            _background(background, columns, rows),
             scalar(near, "near"),
             scalar(far, "far"),
             None if depth_range is None else _pair(depth_range),
@@ -216,9 +217,12 @@ def _rebuild(keywords: dict[str, Any]) -> Fragments:
     return Fragments(**keywords)
 
 
-def _background(value: ArrayLike, width: int, height: int) -> NDArray[np.float32]:
-    shape = (3,) if np.ndim(value) == 1 else (height, width, 3)
-    return array(value, "background", np.float32, shape)
+def _background(value: ArrayLike, columns: int, rows: int) -> NDArray[np.float32]:
+    try:
+        flat = np.ndim(value) == 1
+    except ValueError:  # ragged: refused by name below
+        flat = True
+    return array(value, "background", np.float32, (3,) if flat else (rows, columns, 3))
 
 
 def _pair(value: tuple[float, float]) -> tuple[float, float]:

@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import _oitlab
-from ._convert import array, count
-from ._convert import params as python_params
+from ._convert import array, count, integer
 from .fragments import Fragments
-from .rendering import capture
+from .rendering import capture, checked_variant
 from .scene import Scene
 
 
@@ -80,15 +79,13 @@ def transmittance(
     ([1.0, 0.5, 0.25], [1.0, 0.5, 0.25])
     """
     fragments = _fragments(source)
-    x, y = pixel
-    place = (int(x), int(y))
+    place = _place(pixel, fragments)
     if depths is None:
-        inside = 0 <= place[0] < fragments.width and 0 <= place[1] < fragments.height
-        where = _steps(fragments.pixel(*place)["depth"]) if inside else np.empty(0, np.float32)
+        where = _steps(fragments.pixel(*place)["depth"])
     else:
         where = array(depths, "depths", np.float32, ("N",))
     exact, reconstructed = _oitlab.transmittance(
-        fragments._handle, technique, python_params(params, technique), place, where
+        fragments._handle, *checked_variant((technique, params)), place, where
     )
     return Transmittance(where, exact, reconstructed)
 
@@ -145,9 +142,9 @@ def order_sensitivity(
     """
     fragments = _fragments(source)
     workers = None if threads is None else count(threads, "threads")
-    options = python_params(params, technique)
-    shuffles, first = count(n, "n"), count(seed, "seed")
-    return _oitlab.order_sensitivity(fragments._handle, technique, options, shuffles, first, workers)
+    variant = checked_variant((technique, params))
+    shuffles, first = count(n, "n"), count(seed, "seed", bits=64)
+    return _oitlab.order_sensitivity(fragments._handle, *variant, shuffles, first, workers)
 
 
 def _fragments(source: Scene | Fragments) -> Fragments:
@@ -156,6 +153,17 @@ def _fragments(source: Scene | Fragments) -> Fragments:
     if isinstance(source, Fragments):
         return source
     raise ValueError(f"source must be a Scene or Fragments, got {type(source).__name__}")
+
+
+def _place(pixel: tuple[int, int], fragments: Fragments) -> tuple[int, int]:
+    try:
+        x, y = pixel
+    except (TypeError, ValueError):
+        raise ValueError(f"pixel must be a pair (x, y), got {pixel!r}") from None
+    place = integer(x, "pixel x"), integer(y, "pixel y")
+    if not (0 <= place[0] < fragments.width and 0 <= place[1] < fragments.height):
+        raise ValueError(f"pixel: {place} is not in the image of {fragments.width} x {fragments.height}")
+    return place
 
 
 def _steps(depth: NDArray[np.float32]) -> NDArray[np.float32]:

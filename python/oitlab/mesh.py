@@ -8,8 +8,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import _oitlab
-from ._convert import Vec3, array, scalar, vec3
+from ._convert import Vec3, array, choice, flag, scalar, vec3
 
+AlphaMode = Literal["blend", "opaque", "mask"]
+Shading = Literal["unlit", "lambert"]
 WHITE = (1.0, 1.0, 1.0, 1.0)
 
 
@@ -76,9 +78,9 @@ class Mesh:
         color: ArrayLike | None = None,
         vertex_colors: ArrayLike | None = None,
         face_colors: ArrayLike | None = None,
-        alpha_mode: Literal["blend", "opaque", "mask"] = "blend",
+        alpha_mode: AlphaMode = "blend",
         alpha_cutoff: float = 0.5,
-        shading: Literal["unlit", "lambert"] = "unlit",
+        shading: Shading = "unlit",
         emission: ArrayLike = (0.0, 0.0, 0.0),
         double_sided: bool = True,
         opacity: float | None = None,
@@ -86,11 +88,11 @@ class Mesh:
         points = array(vertices, "vertices", np.float64, ("V", 3))
         triangles = array(faces, "faces", np.int64, ("F", 3))
         self._domain, colors = _colors(color, vertex_colors, face_colors, len(points), len(triangles))
-        self._alpha_mode = alpha_mode
+        self._alpha_mode = choice(alpha_mode, "alpha_mode", AlphaMode)
         self._alpha_cutoff = scalar(alpha_cutoff, "alpha_cutoff")
-        self._shading = shading
+        self._shading = choice(shading, "shading", Shading)
         self._emission = vec3(emission, "emission")
-        self._double_sided = bool(double_sided)
+        self._double_sided = flag(double_sided, "double_sided")
         self._opacity = None if opacity is None else scalar(opacity, "opacity")
         self._handle = _oitlab.Mesh(
             points,
@@ -126,7 +128,7 @@ class Mesh:
         return self._domain
 
     @property
-    def alpha_mode(self) -> Literal["blend", "opaque", "mask"]:
+    def alpha_mode(self) -> AlphaMode:
         """How alpha is used; see the class."""
         return self._alpha_mode
 
@@ -136,7 +138,7 @@ class Mesh:
         return self._alpha_cutoff
 
     @property
-    def shading(self) -> Literal["unlit", "lambert"]:
+    def shading(self) -> Shading:
         """The light model."""
         return self._shading
 

@@ -8,7 +8,7 @@ from typing import Any, Literal
 import numpy as np
 
 from . import _oitlab
-from ._convert import count
+from ._convert import count, flag
 from ._convert import params as python_params
 from .fragments import Fragments
 from .frame import Frame, Stats
@@ -111,14 +111,16 @@ def render_many(
     >>> exact.scene_hash == fast.scene_hash == scene.content_hash
     True
     """
-    requested = [_variant(variant) for variant in variants]
+    if isinstance(variants, str) or not isinstance(variants, Iterable):
+        raise ValueError(f"variants must be an iterable of ids or (id, params), got {variants!r}")
+    requested = [checked_variant(variant) for variant in variants]
     if not isinstance(source, Scene | Fragments):
         raise ValueError(f"source must be a Scene or Fragments, got {type(source).__name__}")
     _check_backend(backend, requested)
-    if diagnostics:
+    if flag(diagnostics, "diagnostics"):
         raise ValueError("diagnostics=True is not available yet; leave it False")
-    frames = _oitlab.render(source._handle, requested, _threads(threads), bool(skip), _is_float64(dtype))
-    return [_frame(raw) for raw in frames]
+    options = _threads(threads), flag(skip, "skip"), _is_float64(dtype)
+    return [_frame(raw) for raw in _oitlab.render(source._handle, requested, *options)]
 
 
 def capture(scene: Scene, *, threads: int | None = None) -> Fragments:
@@ -148,7 +150,8 @@ def capture(scene: Scene, *, threads: int | None = None) -> Fragments:
     return Fragments._wrap(_oitlab.capture(scene._handle, _threads(threads)))
 
 
-def _variant(variant: Variant) -> tuple[str, dict[str, Any]]:
+def checked_variant(variant: Variant) -> tuple[str, dict[str, Any]]:
+    """Give the id and the params as the core takes them."""
     if isinstance(variant, str):
         return variant, {}
     try:
@@ -176,9 +179,9 @@ def _threads(threads: int | None) -> int | None:
 
 def _is_float64(dtype: Any) -> bool:
     try:
-        name = str(np.dtype(dtype))
+        name = "" if dtype is None else str(np.dtype(dtype))  # NumPy takes None for float64
     except TypeError:
-        name = str(dtype)
+        name = ""
     if name not in ("float32", "float64"):
         raise ValueError(f"dtype must be 'float32' or 'float64', got {dtype!r}")
     return name == "float64"

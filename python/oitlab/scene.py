@@ -153,7 +153,10 @@ def _rebuild_scene(
 
 
 def _checked_meshes(meshes: Iterable[Mesh]) -> tuple[Mesh, ...]:
-    given = tuple(meshes)
+    try:
+        given = tuple(meshes)
+    except TypeError:
+        raise ValueError(f"meshes must be an iterable of Mesh, got {type(meshes).__name__}") from None
     for index, mesh in enumerate(given):
         if not isinstance(mesh, Mesh):
             raise ValueError(f"meshes[{index}] must be a Mesh, got {type(mesh).__name__}")

@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ._convert import array, scalar
 from ._convert import count as checked_count
 from .camera import Camera
 from .mesh import Mesh
@@ -49,8 +50,7 @@ def squares(
     alpha : float in [0, 1]
         Of every square.
     """
-    rng = np.random.default_rng(seed)
-    count = checked_count(count, "count")
+    rng, count = _rng(seed), checked_count(count, "count")
     centres = np.column_stack(
         [rng.uniform(-1.6, 1.6, count), rng.uniform(-0.8, 0.8, count), np.linspace(-1.5, 1.5, count)]
     )
@@ -71,8 +71,7 @@ def smoke(seed: int = 0, width: int = 1280, height: int = 720, *, count: int = 1
     count : int
         Squares; their alphas lie in [0.05, 0.2], their depths are evenly spaced over 3 units.
     """
-    rng = np.random.default_rng(seed)
-    count = checked_count(count, "count")
+    rng, count = _rng(seed), checked_count(count, "count")
     depths = rng.permutation(np.linspace(-1.5, 1.5, count))
     centres = np.column_stack([rng.normal(0, 1.05, count), rng.normal(0, 0.6, count), depths])
     vertices, faces = _quads(centres, rng.uniform(0.3, 0.8, count), rng.uniform(0, np.pi / 2, count))
@@ -97,8 +96,7 @@ def soup(
     alpha : float in [0, 1]
         Of every triangle.
     """
-    rng = np.random.default_rng(seed)
-    count = checked_count(count, "count")
+    rng, count = _rng(seed), checked_count(count, "count")
     corners = rng.uniform(-0.5, 0.5, (count, 1, 3)) + rng.normal(0, 0.0085, (count, 3, 3))
     return _triangles(rng, corners, alpha, (0.78, 0.61, 1.22), width, height)
 
@@ -119,8 +117,7 @@ def blades(
     alpha : float in [0, 1]
         Of every triangle.
     """
-    rng = np.random.default_rng(seed)
-    count = checked_count(count, "count")
+    rng, count = _rng(seed), checked_count(count, "count")
     corners = rng.normal(0, 0.35, (count, 1, 3)) + rng.normal(0, 0.45, (count, 3, 3))
     return _triangles(rng, corners, alpha, (0, 0, 5), width, height)
 
@@ -149,8 +146,7 @@ def shells(
     alpha : float in [0, 1]
         Of every sphere.
     """
-    rng = np.random.default_rng(seed)
-    count = checked_count(count, "count")
+    rng, count = _rng(seed), checked_count(count, "count")
     sphere, triangles = _icosphere(checked_count(subdivisions, "subdivisions"))
     radii = np.linspace(0.45, 1.15, count)
     centres = rng.uniform(-0.25, 0.25, (count, 3)) * (1, 0.6, 1)
@@ -186,14 +182,14 @@ def torus_knot(
     alpha : (float, float) in [0, 1]
         Smallest and largest, half a turn apart along the knot.
     """
-    rng = np.random.default_rng(seed)
+    rng, segments, sides = _rng(seed), checked_count(segments, "segments"), checked_count(sides, "sides")
     if segments < 3 or sides < 3:
         raise ValueError(f"segments and sides must be at least 3, got {segments} and {sides}")
     turn = np.arange(segments) / segments
     vertices = _tube(_knot(2 * np.pi * turn, windings), sides, radius=0.3)
     faces = _grid_faces(segments, sides)
     hue = 0.5 + 0.5 * np.cos(2 * np.pi * (turn[:, None] + rng.random() + np.array([0, 1 / 3, 2 / 3])))
-    lo, hi = alpha
+    lo, hi = array(alpha, "alpha", np.float64, (2,))
     opacity = lo + (hi - lo) * (0.5 - 0.5 * np.cos(2 * np.pi * turn))
     colors = np.column_stack([hue, opacity]).repeat(2 * sides, axis=0)
     return _scene(rng, vertices, faces, colors, (0.6, 1.2, 6.5), width, height)
@@ -203,6 +199,10 @@ SCENES: Mapping[str, Callable[..., Scene]] = MappingProxyType(
     {function.__name__: function for function in (squares, soup, shells, smoke, blades, torus_knot)}
 )
 """Every procedural scene, by name."""
+
+
+def _rng(seed: int) -> np.random.Generator:
+    return np.random.default_rng(checked_count(seed, "seed"))
 
 
 def _scene(
@@ -229,7 +229,7 @@ def _triangles(
 
 
 def _with_alpha(rgb: Floats, alpha: float) -> Floats:
-    return np.column_stack([rgb, np.full(len(rgb), alpha)])
+    return np.column_stack([rgb, np.full(len(rgb), scalar(alpha, "alpha"))])
 
 
 def _quads(centres: Floats, half: Floats, angle: Floats) -> tuple[Floats, NDArray[np.int64]]:
