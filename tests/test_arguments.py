@@ -59,7 +59,7 @@ CASES: list[tuple[Callable[[], Any], str]] = [
     (lambda: mesh(double_sided=None), "double_sided must be True or False, got None"),
     (lambda: mesh(MASKED), "vertices has masked values"),
     (lambda: mesh(list(MASKED)), "vertices has masked values"),
-    (lambda: mesh(opacity=np.ma.masked), "opacity has masked values"),
+    (lambda: mesh(opacity=np.ma.masked), "opacity must be a number, got masked"),
     (lambda: scene(None), "meshes must be an iterable of Mesh, got NoneType"),
     (lambda: scene(mesh()), "meshes must be an iterable of Mesh, got Mesh"),
     (lambda: scene(width=True), "width must be an integer, got True"),

@@ -114,6 +114,19 @@ class TestCheapMetrics:
         assert compare(image, reference, threshold=0.5)["bad_pixels"] == 0.5
         assert compare(image, reference, threshold=0.0)["bad_pixels"] == 0.75
 
+    def test_extreme_but_finite_numbers(self):
+        """No warning, no overflow: the largest errors allowed, and ranges whose squares leave float64."""
+        image = np.full((64, 64, 3), 1e149)
+        result = compare(image, 0 * image, data_range=1e200)
+        assert result["mse_255"] == pytest.approx(255**2 * 1e298)
+        assert result["psnr"] == pytest.approx(20 * (200 - 149))
+        assert compare(image, 0 * image, data_range=1e-200)["psnr"] == pytest.approx(20 * (-200 - 149))
+        huge = np.full((2, 2, 3), 1e308)
+        assert compare(huge, huge, metrics=["mse", "delta_e_itp"], luminance=1e300) == {
+            "mse": 0.0,
+            "delta_e_itp": 0.0,
+        }
+
 
 class TestPerceptualMetrics:
     @pytest.mark.parametrize(("first", "second", "expected"), CIEDE2000)
@@ -255,11 +268,39 @@ class TestRefusals:
             ({"threshold": math.nan}, "threshold"),
             ({"metrics": "delta_e_itp", "luminance": 0.0}, "luminance"),
             ({"metrics": "flip", "pixels_per_degree": -1.0}, "pixels_per_degree"),
+            ({"threshold": "x"}, "threshold must be a number"),
+            ({"threshold": None}, "threshold must be a number"),
+            ({"data_range": "1"}, "data_range must be a number"),
+            ({"luminance": None}, "luminance must be a number"),
+            ({"pixels_per_degree": [1]}, "pixels_per_degree must be a number"),
+            ({"metrics": 3}, "metrics: expected names among mse, .*, got 3"),
+            ({"metrics": [["mse"]]}, "metrics: expected names among"),
         ],
     )
     def test_wrong_arguments(self, arguments, message):
         with pytest.raises(ValueError, match=message):
             compare(random_image(1), random_image(2), **arguments)
+
+    def test_maps_refuse_the_same(self):
+        with pytest.raises(ValueError, match="luminance"):
+            error_map(random_image(1), random_image(2), "delta_e_itp", luminance=None)
+        with pytest.raises(ValueError, match="pixels_per_degree"):
+            error_map(random_image(1), random_image(2), "flip", pixels_per_degree="far")
+
+    def test_masked_images(self):
+        masked = np.ma.masked_greater(random_image(1), 0.5)
+        with pytest.raises(ValueError, match="reference has masked values"):
+            compare(random_image(1), masked)
+
+    @pytest.mark.parametrize("metrics", [None, "all"])
+    def test_errors_too_large_to_square(self, metrics):
+        image, reference = np.zeros((2, 3, 3)), np.zeros((2, 3, 3))
+        image[1, 2, 1] = 1e300
+        for huge in (image, image * 1e8, -image):
+            with pytest.raises(ValueError, match=r"pixel \(x=2, y=1\) is off by (2e\+300|inf) in channel 1"):
+                compare(huge, reference - huge, metrics=metrics, data_range=1.0, pixels_per_degree=60.0)
+            with pytest.raises(ValueError, match="at most 1e"):
+                error_map(huge, reference)
 
     def test_unknown_map(self):
         with pytest.raises(ValueError, match="unknown error map 'psnr'; known: squared"):

@@ -82,7 +82,7 @@ def test_crash_leaves_the_old_file(tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == [path]
 
 
-@pytest.mark.parametrize("exposure", [np.nan, np.inf, 1e9])
+@pytest.mark.parametrize("exposure", [np.nan, np.inf, 1e9, "x", None, True])
 def test_exposure_out_of_range(tmp_path, exposure):
     with pytest.raises(ValueError, match="exposure"):
         write_png(tmp_path / "a.png", random_image(1), exposure=exposure)

@@ -84,7 +84,10 @@ def vec3(value: ArrayLike, name: str) -> Vec3:
 
 def scalar(value: Any, name: str) -> float:
     """One float; refuses strings and booleans, which `float` would take."""
-    return float(array(value, name, np.float64, ()))
+    try:
+        return float(array(value, name, np.float64, ()))
+    except ValueError:
+        raise ValueError(f"{name} must be a number, got {value!r}") from None
 
 
 def count(value: Any, name: str, *, bits: int = 63) -> int:

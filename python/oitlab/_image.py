@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ._convert import refuse_masked, scalar
+
 if TYPE_CHECKING:
     from .frame import Frame
 
@@ -32,7 +34,7 @@ def as_image(image: ImageLike, name: str) -> NDArray[Any]:
     Raises
     ------
     ValueError
-        Wrong shape, not numeric, or a value that is not finite, with the first bad pixel.
+        Wrong shape, not numeric, masked, or a value that is not finite, with the first bad pixel.
 
     Examples
     --------
@@ -43,8 +45,10 @@ def as_image(image: ImageLike, name: str) -> NDArray[Any]:
         ...
     ValueError: image: pixel (x=1, y=0) is not finite: nan in channel 1
     """
+    pixels = getattr(image, "color", image)
+    refuse_masked(pixels, name)
     try:
-        array = np.asarray(getattr(image, "color", image))
+        array = np.asarray(pixels)
     except ValueError as error:
         raise ValueError(f"{name}: not an array of shape (H, W, 3): {error}") from error
     if array.dtype.kind not in "fiub":
@@ -135,7 +139,7 @@ def srgb_bytes(linear: NDArray[Any], exposure: float = 0.0) -> NDArray[np.uint8]
     Raises
     ------
     ValueError
-        `exposure` is out of range.
+        `exposure` is not a number or out of range.
 
     Examples
     --------
@@ -143,8 +147,9 @@ def srgb_bytes(linear: NDArray[Any], exposure: float = 0.0) -> NDArray[np.uint8]
     >>> srgb_bytes(np.array([0.0, 0.2, 1.0, 7.0])).tolist()
     [0, 124, 255, 255]
     """
-    if not -100.0 <= exposure <= 100.0:
+    stops = scalar(exposure, "exposure")
+    if not -100.0 <= stops <= 100.0:
         raise ValueError(f"exposure: expected stops in [-100, 100], got {exposure}")
     with np.errstate(over="ignore"):
-        scaled = np.asarray(linear, dtype=np.float64) * 2.0 ** float(exposure)
+        scaled = np.asarray(linear, dtype=np.float64) * 2.0**stops
     return np.floor(255.0 * srgb_encode(scaled) + 0.5).astype(np.uint8)

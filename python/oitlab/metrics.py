@@ -14,6 +14,7 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from ._convert import scalar
 from ._image import ImageLike, as_image
 
 __all__ = ["ERROR_MAPS", "METRICS", "compare", "error_map"]
@@ -34,6 +35,8 @@ METRICS = (
 ERROR_MAPS = ("squared", "absolute", "delta_e_2000", "delta_e_itp", "flip")
 """Every map of `error_map`."""
 
+_LARGEST_ERROR = 1e149
+"""Largest difference whose squares, summed over a billion channels and scaled by 255^2, fit in float64."""
 _CHEAP = ("mse", "rmse", "max_error", "mse_255", "bad_pixels")
 _Pixels: TypeAlias = NDArray[np.float64]
 
@@ -91,9 +94,9 @@ def compare(
     Raises
     ------
     ValueError
-        Shapes differ or are not (H, W, 3), no pixels, a value that is not finite (the first
-        bad pixel is named), an unknown metric, an argument that a requested metric needs is missing
-        or out of range.
+        Shapes differ or are not (H, W, 3), no pixels, a value that is not finite or off by more than 1e149
+        (the first bad pixel is named), an unknown metric, an argument that is not a number or out of range,
+        or missing though a requested metric needs it.
     ImportError
         `flip` is asked for and `flip-evaluator` is not installed.
 
@@ -110,7 +113,10 @@ def compare(
     {'delta_e_2000': 0.0, 'delta_e_itp': 0.0}
     """
     names = _requested(metrics, data_range)
-    _positive("threshold", threshold, zero=True)
+    threshold = _positive("threshold", threshold, zero=True)
+    luminance = _positive("luminance", luminance)
+    data_range = None if data_range is None else _positive("data_range", data_range)
+    pixels_per_degree = _degree(pixels_per_degree)
     test, exact = _pair(image, reference)
     values: dict[str, Callable[[], float]] = {
         "mse": lambda: _mse(test, exact),
@@ -169,6 +175,8 @@ def error_map(
     >>> error_map(np.full((1, 2, 3), 0.5), np.zeros((1, 2, 3))).tolist()
     [[0.25, 0.25]]
     """
+    luminance = _positive("luminance", luminance)
+    pixels_per_degree = _degree(pixels_per_degree)
     test, exact = _pair(image, reference)
     if metric == "squared":
         return np.asarray(np.square(test - exact).mean(axis=2), dtype=np.float64)
@@ -189,7 +197,10 @@ def _requested(metrics: str | Iterable[str] | None, data_range: float | None) ->
     elif isinstance(metrics, str):
         wanted = set(METRICS) if metrics == "all" else {metrics}
     else:
-        wanted = set(metrics)
+        try:
+            wanted = set(metrics)
+        except TypeError:
+            raise ValueError(f"metrics: expected names among {', '.join(METRICS)}, got {metrics!r}") from None
     unknown = sorted(str(name) for name in wanted.difference(METRICS))
     if unknown:
         raise ValueError(f"metrics: unknown {', '.join(unknown)}; known: {', '.join(METRICS)}, or all")
@@ -203,12 +214,26 @@ def _pair(image: ImageLike, reference: ImageLike) -> tuple[_Pixels, _Pixels]:
         raise ValueError(f"image and reference differ in shape: {test.shape} and {exact.shape}")
     if test.size == 0:
         raise ValueError(f"image: an image of shape {test.shape} has no pixels to compare")
+    with np.errstate(over="ignore"):
+        errors = np.abs(test - exact)
+    if errors.max() > _LARGEST_ERROR:
+        y, x, channel = np.argwhere(errors > _LARGEST_ERROR)[0].tolist()
+        raise ValueError(
+            f"image and reference: pixel (x={x}, y={y}) is off by {errors[y, x, channel]:.3g} in channel "
+            f"{channel}; at most {_LARGEST_ERROR:g} can be squared"
+        )
     return test, exact
 
 
-def _positive(name: str, value: float, *, zero: bool = False) -> None:
+def _positive(name: str, value: float, *, zero: bool = False) -> float:
+    value = scalar(value, name)
     if not (math.isfinite(value) and (value > 0 or (zero and value == 0))):
         raise ValueError(f"{name}: expected a finite number {'>=' if zero else '>'} 0, got {value}")
+    return value
+
+
+def _degree(pixels_per_degree: float | None) -> float | None:
+    return None if pixels_per_degree is None else _positive("pixels_per_degree", pixels_per_degree)
 
 
 def _mse(test: _Pixels, exact: _Pixels) -> float:
@@ -218,8 +243,7 @@ def _mse(test: _Pixels, exact: _Pixels) -> float:
 def _psnr(mse: float, data_range: float | None) -> float:
     if data_range is None:
         raise ValueError("psnr needs data_range: the largest difference that two channels can have")
-    _positive("data_range", data_range)
-    return math.inf if mse == 0.0 else 10.0 * math.log10(data_range**2 / mse)
+    return math.inf if mse == 0.0 else 20.0 * math.log10(data_range) - 10.0 * math.log10(mse)
 
 
 def _colour() -> Any:
@@ -248,7 +272,6 @@ def _lab(linear: _Pixels) -> NDArray[Any]:
 def _delta_e_itp(test: _Pixels, exact: _Pixels, luminance: float) -> _Pixels:
     colour = _colour()
 
-    _positive("luminance", luminance)
     with colour.domain_range_scale("Reference"):
         signals = _ictcp(test, luminance), _ictcp(exact, luminance)
         return np.asarray(colour.difference.delta_E_ITP(*signals), dtype=np.float64)
@@ -260,14 +283,14 @@ def _ictcp(linear: _Pixels, luminance: float) -> NDArray[Any]:
     to_2020 = colour.matrix_RGB_to_RGB(
         colour.RGB_COLOURSPACES["ITU-R BT.709"], colour.RGB_COLOURSPACES["ITU-R BT.2020"], None
     )
-    absolute = np.clip(luminance * (linear @ to_2020.T), 0.0, 10_000.0)
+    with np.errstate(over="ignore"):
+        absolute = np.clip(luminance * (linear @ to_2020.T), 0.0, 10_000.0)
     return np.asarray(colour.RGB_to_ICtCp(absolute))
 
 
 def _flip(test: _Pixels, exact: _Pixels, pixels_per_degree: float | None) -> _Pixels:
     if pixels_per_degree is None:
         raise ValueError("flip needs pixels_per_degree: 67 is a 0.7 m wide 4K display seen from 0.7 m")
-    _positive("pixels_per_degree", pixels_per_degree)
     try:
         from flip_evaluator import evaluate
     except ImportError as error:
@@ -279,6 +302,6 @@ def _flip(test: _Pixels, exact: _Pixels, pixels_per_degree: float | None) -> _Pi
         inputsRGB=False,
         applyMagma=False,
         computeMeanError=False,
-        parameters={"ppd": float(pixels_per_degree)},
+        parameters={"ppd": pixels_per_degree},
     )
     return np.asarray(errors, dtype=np.float64).reshape(test.shape[:2])

@@ -34,7 +34,7 @@ def write_png(path: str | os.PathLike[str], image: ImageLike, *, exposure: float
     Raises
     ------
     ValueError
-        Wrong shape or dtype, an image without pixels, an exposure out of range, or a
+        Wrong shape or dtype, an image without pixels, an exposure that is not a number or out of range, or a
         non-finite value (the message names the first bad pixel).
     OSError
         The file cannot be written.
