@@ -6,6 +6,7 @@ import numpy as np
 import OpenEXR
 import pytest
 
+import oitlab
 from handmade import FIELDS, frame, random_image
 from oitlab.exr import read_exr, write_exr
 from oitlab.metrics import error_map
@@ -135,11 +136,42 @@ def test_parts_and_attributes_for_other_programs(tmp_path):
 def test_numpy_scalars_in_params(tmp_path):
     given = {"bins": np.int64(8), "shift": np.float32(0.5), "smooth": np.bool_(True), "edges": np.arange(3)}
     write_exr(tmp_path / "a.exr", frame(random_image(1), params=given))
-    expected = {"bins": 8, "shift": 0.5, "smooth": True, "edges": [0, 1, 2]}
+    expected = {"bins": 8, "shift": 0.5, "smooth": True, "edges": (0, 1, 2)}
     assert read_exr(tmp_path / "a.exr").params == expected
 
 
+def test_params_come_back_equal(tmp_path, small_scene):
+    rendered = oitlab.render(small_scene, "opacity_shadow_maps", {"range": (1, 9.5)})
+    assert rendered.params["range"] == (1.0, 9.5)
+    write_exr(tmp_path / "a.exr", rendered)
+    assert_same(read_exr(tmp_path / "a.exr"), rendered)
+    nested = {"pairs": [(1, 2), [3, "four"]], "by_name": {"a": (5,)}}
+    write_exr(tmp_path / "a.exr", frame(random_image(1), params=nested))
+    assert read_exr(tmp_path / "a.exr").params == {"pairs": ((1, 2), (3, "four")), "by_name": {"a": (5,)}}
+
+
 class TestRefusals:
+    @pytest.mark.parametrize(
+        ("arguments", "keywords", "message"),
+        [
+            ((random_image(1),), {}, "frame must be a Frame, got ndarray"),
+            ((None,), {}, "frame must be a Frame, got NoneType"),
+            ((frame(random_image(1)),), {"half": "no"}, "half must be True or False, got 'no'"),
+            ((frame(random_image(1)),), {"error": [["a"]]}, "error: expected numbers"),
+            ((frame(random_image(1)),), {"error": [[1], [1, 2]]}, "error: not an array"),
+            (
+                (frame(random_image(1)),),
+                {"error": np.ma.masked_all((5, 7))},
+                "error has masked values",
+            ),
+            ((frame(random_image(1)),), {"error_metric": 3}, "error_metric must be a name, got 3"),
+        ],
+    )
+    def test_arguments_of_the_wrong_kind(self, tmp_path, arguments, keywords, message):
+        with pytest.raises(ValueError, match=message):
+            write_exr(tmp_path / "a.exr", *arguments, **keywords)
+        assert not list(tmp_path.iterdir())
+
     @pytest.mark.parametrize(
         ("field", "shape"), [("color", (5, 7, 3)), ("transmittance", (5, 7)), ("first_depth", (5, 7))]
     )
@@ -182,7 +214,7 @@ class TestRefusals:
             write_exr(tmp_path / "a.exr", frame(np.zeros((0, 7, 3), np.float32)))
 
     def test_params_that_json_cannot_hold(self, tmp_path):
-        with pytest.raises(TypeError, match="cannot store"):
+        with pytest.raises(ValueError, match=r"params: cannot store .* of type object"):
             write_exr(tmp_path / "a.exr", frame(random_image(1), params={"weight": object()}))
 
     def test_missing_folder(self, tmp_path):
@@ -208,6 +240,57 @@ class TestDamagedFiles:
             cut.write_bytes(whole[:length])
             with pytest.raises(OSError, match=r"cut\.exr: (not a readable EXR file|truncated or damaged)"):
                 read_exr(cut)
+
+    @pytest.mark.parametrize(
+        ("old", "new"),
+        [
+            (b"oitlab:parts", b"oitlab:pxrts"),
+            (b"oitlab:scene_hash", b"oitlab:scene_hasg"),
+            (b"oitlab:technique", b"oitlab:techniqux"),
+            (b"oitlab:params\0string", b"oitlab:params\0strang"),
+            (b"oitlab:stats\0string", b"oitlab:stats\0strunk"),
+            (b"oitlab:stats\0string\0", b"oitlab:stats\0string\xff"),
+            (b'{"weight": ', b'{"weight"; '),
+            (b'{"weight": ', b'{"weigh\xff": '),
+            (b'{"weight": "mb7"', b'["weight", "mb7"'),
+            (b'{"total_ms"', b'{"total_mx"'),
+            (b'["image"', b'["imago"'),
+            (b"0123abcd", b"0123ab\xff\xfe"),
+            (b"scanlineimage", b"scanlineimagf"),
+        ],
+    )
+    def test_damaged_attributes(self, tmp_path, old, new):
+        write_exr(tmp_path / "whole.exr", frame(random_image(1)))
+        whole = (tmp_path / "whole.exr").read_bytes()
+        assert old in whole
+        (tmp_path / "bent.exr").write_bytes(whole.replace(old, new))
+        with pytest.raises(OSError, match=r"bent\.exr: (not a readable EXR file|truncated or damaged): ."):
+            read_exr(tmp_path / "bent.exr")
+
+    def test_single_damaged_bytes(self, tmp_path):
+        write_exr(tmp_path / "whole.exr", frame(random_image(1)), error=np.zeros((5, 7)))
+        whole = (tmp_path / "whole.exr").read_bytes()
+        bent = tmp_path / "bent.exr"
+        verdicts = []
+        for place in range(0, len(whole), 7):
+            bent.write_bytes(whole[:place] + bytes([whole[place] ^ 0x80]) + whole[place + 1 :])
+            try:
+                read_exr(bent)
+            except (OSError, ValueError) as error:
+                verdicts.append(str(error))
+        assert len(verdicts) > 100
+        assert all("bent.exr: " in verdict for verdict in verdicts)
+
+    def test_another_versions_statistics(self, tmp_path):
+        write_exr(tmp_path / "a.exr", frame(random_image(1)))
+        version = oitlab.__version__.encode()
+        other = version[:-1] + bytes([version[-1] ^ 1])
+        old = (tmp_path / "a.exr").read_bytes().replace(version, other)
+        (tmp_path / "a.exr").write_bytes(old)
+        assert read_exr(tmp_path / "a.exr").technique == "wboit"
+        (tmp_path / "a.exr").write_bytes(old.replace(b"total_ms", b"total_us"))
+        with pytest.raises(ValueError, match=r"a\.exr: written by oitlab .*, whose statistics differ"):
+            read_exr(tmp_path / "a.exr")
 
     def test_somebody_elses_file(self, tmp_path):
         header = {"type": OpenEXR.scanlineimage, "compression": OpenEXR.ZIP_COMPRESSION}

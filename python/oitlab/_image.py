@@ -45,19 +45,33 @@ def as_image(image: ImageLike, name: str) -> NDArray[Any]:
         ...
     ValueError: image: pixel (x=1, y=0) is not finite: nan in channel 1
     """
-    pixels = getattr(image, "color", image)
-    refuse_masked(pixels, name)
-    try:
-        array = np.asarray(pixels)
-    except ValueError as error:
-        raise ValueError(f"{name}: not an array of shape (H, W, 3): {error}") from error
-    if array.dtype.kind not in "fiub":
-        raise ValueError(f"{name}: expected numbers, got dtype {array.dtype}")
+    pixels: Any = image
+    array = as_numbers(getattr(pixels, "color", pixels), name)
     if array.ndim != 3 or array.shape[2] != 3:
         raise ValueError(f"{name}: expected shape (H, W, 3), got {array.shape}")
     if array.dtype.kind != "f":
         array = array.astype(np.float64)
     refuse_non_finite(array, name)
+    return array
+
+
+def as_numbers(value: ArrayLike, name: str) -> NDArray[Any]:
+    """Give an array of numbers of any shape; ValueError naming it when ragged, masked or of another kind.
+
+    Examples
+    --------
+    >>> as_numbers([["a"]], "error")
+    Traceback (most recent call last):
+        ...
+    ValueError: error: expected numbers, got dtype <U1
+    """
+    refuse_masked(value, name)
+    try:
+        array = np.asarray(value)
+    except ValueError as error:
+        raise ValueError(f"{name}: not an array: {error}") from error
+    if array.dtype.kind not in "fiub":
+        raise ValueError(f"{name}: expected numbers, got dtype {array.dtype}")
     return array
 
 

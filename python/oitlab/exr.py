@@ -16,17 +16,21 @@ lost its tail is recognised) and, with an error map, `oitlab:error_metric`. Ever
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import io
 import json
 import os
+from collections.abc import Iterator
 from typing import Any, Literal, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ._atomic import replacing
-from ._image import ImageLike, as_image, refuse_non_finite
+from ._convert import flag
+from ._image import ImageLike, as_image, as_numbers, refuse_non_finite
+from ._oitlab import __version__
 from .frame import Frame, Stats
 from .metrics import error_map
 
@@ -71,8 +75,8 @@ def write_exr(
     Raises
     ------
     ValueError
-        A non-finite value, or one too large for the stored type (the message names the first
-        bad pixel); a shape that does not fit; `reference` and `error` together.
+        No `Frame`; a non-finite value, or one too large for the stored type (the message names the first
+        bad pixel); a shape that does not fit; params that JSON cannot hold; `reference` and `error` together.
     OSError
         The file cannot be written.
 
@@ -90,11 +94,15 @@ def write_exr(
     >>> back.technique, bool((back.color == frame.color).all())
     ('wboit', True)
     """
+    if not isinstance(frame, Frame):
+        raise ValueError(f"frame must be a Frame, got {type(frame).__name__}")
+    if not isinstance(error_metric, str):
+        raise ValueError(f"error_metric must be a name, got {error_metric!r}")
     if reference is not None and error is not None:
         raise ValueError("reference, error: give one of them, not both")
     if reference is not None:
         error = error_map(frame, reference, error_metric)  # type: ignore[arg-type]  # checked there
-    pixels = _part_pixels(frame, error, half)
+    pixels = _part_pixels(frame, error, flag(half, "half"))
     content = _encoded(pixels, _attributes(frame, list(pixels), error_metric))
     with replacing(path) as temporary, open(temporary, "xb") as file:
         file.write(content)
@@ -122,15 +130,15 @@ def read_exr(
     -------
     Frame, or tuple of Frame and (H, W) float32 array or None
         The frame, its arrays float32 (halves are widened, which is exact) and uint32. With `error` its error
-        map too, None where the file has none. Parameters and statistics are what JSON keeps of them: a
-        tuple comes back as a list.
+        map too, None where the file has none. Parameters are what JSON keeps of them, sequences tuples: those
+        of a rendered frame come back equal.
 
     Raises
     ------
     OSError
         No such file, not an EXR file, truncated or damaged.
     ValueError
-        A valid EXR file that `write_exr` did not write.
+        A valid EXR file that `write_exr` did not write, or whose statistics another version of it defined.
 
     Examples
     --------
@@ -139,22 +147,22 @@ def read_exr(
         ...
     FileNotFoundError: [Errno 2] No such file or directory: 'missing.exr'
     """
+    with_error = flag(error, "error")
     attributes = _checked_attributes(path)
-    parts = _decoded(path)
-    lost = [name for name in json.loads(attributes["oitlab:parts"]) if name not in parts]
-    if lost:
-        raise OSError(f"{os.fspath(path)}: truncated or damaged, lost its {', '.join(lost)}")
-    frame = Frame(
-        color=_floats(parts["image"]),
-        transmittance=_floats(parts["transmittance"]),
-        technique=attributes["oitlab:technique"],
-        params=json.loads(attributes["oitlab:params"]),
-        scene_hash=attributes["oitlab:scene_hash"],
-        stats=_stats(path, attributes),
-        first_depth=_floats(parts["depth"]),
-        fragment_count=np.ascontiguousarray(parts["fragments"], dtype=np.uint32),
-    )
-    return (frame, _floats(parts["error"]) if "error" in parts else None) if error else frame
+    with _damage_named(path, "truncated or damaged"):
+        parts = _decoded(path)
+        _check_parts(parts, json.loads(_text(attributes, "parts")))
+        frame = Frame(
+            color=_floats(parts["image"]),
+            transmittance=_floats(parts["transmittance"]),
+            technique=_text(attributes, "technique"),
+            params=_tuples(dict(json.loads(_text(attributes, "params")))),
+            scene_hash=_text(attributes, "scene_hash"),
+            stats=Stats(**json.loads(_text(attributes, "stats"))),
+            first_depth=_floats(parts["depth"]),
+            fragment_count=np.ascontiguousarray(parts["fragments"], dtype=np.uint32),
+        )
+    return (frame, _floats(parts["error"]) if "error" in parts else None) if with_error else frame
 
 
 def _part_pixels(frame: Frame, error: ArrayLike | None, half: bool) -> dict[str, NDArray[Any]]:
@@ -162,7 +170,6 @@ def _part_pixels(frame: Frame, error: ArrayLike | None, half: bool) -> dict[str,
     color = as_image(frame, "color")
     if color.size == 0:
         raise ValueError(f"color: an image of shape {color.shape} has no pixels to write")
-    size = color.shape[:2]
     precision = np.float16 if half else np.float32
     pixels = {
         "image": _stored(color, "color", precision),
@@ -171,17 +178,23 @@ def _part_pixels(frame: Frame, error: ArrayLike | None, half: bool) -> dict[str,
         "fragments": np.ascontiguousarray(frame.fragment_count, dtype=np.uint32),
     }
     if error is not None:
-        pixels["error"] = _stored(np.asarray(error), "error", np.float32)
-    for name, array in pixels.items():
-        colored = array.ndim == 3 and array.shape[2] == 3 and name == "transmittance"
-        if array.shape[:2] != size or not (array.ndim == 2 or colored or name == "image"):
-            raise ValueError(f"{name}: shape {array.shape} does not fit an image of shape {color.shape}")
+        pixels["error"] = _stored(error, "error", np.float32)
+    _check_shapes(pixels)
     return pixels
 
 
+def _check_shapes(pixels: dict[str, NDArray[Any]]) -> None:
+    color = pixels["image"]
+    for name, array in pixels.items():
+        colored = array.ndim == 3 and array.shape[2] == 3 and name == "transmittance"
+        if array.shape[:2] != color.shape[:2] or not (array.ndim == 2 or colored or name == "image"):
+            raise ValueError(f"{name}: shape {array.shape} does not fit an image of shape {color.shape}")
+
+
 def _stored(
-    array: NDArray[Any], name: str, dtype: type[np.floating[Any]], *, infinity: bool = False
+    value: ArrayLike, name: str, dtype: type[np.floating[Any]], *, infinity: bool = False
 ) -> NDArray[Any]:
+    array = as_numbers(value, name)
     refuse_non_finite(array, name, infinity=infinity)
     with np.errstate(over="ignore"):
         stored = np.ascontiguousarray(array, dtype=dtype)
@@ -191,8 +204,6 @@ def _stored(
 
 
 def _attributes(frame: Frame, parts: list[str], error_metric: str) -> dict[str, str]:
-    from ._oitlab import __version__
-
     attributes = {
         "software": f"oitlab {__version__}",
         "oitlab:version": __version__,
@@ -209,7 +220,7 @@ def _plain(value: object) -> object:
     """Give JSON the Python form of NumPy's scalars and arrays."""
     if isinstance(value, np.generic | np.ndarray):
         return value.tolist()
-    raise TypeError(f"cannot store {value!r} of type {type(value).__name__} in an EXR attribute")
+    raise ValueError(f"params: cannot store {value!r} of type {type(value).__name__} in an EXR attribute")
 
 
 def _encoded(pixels: dict[str, NDArray[Any]], attributes: dict[str, str]) -> bytes:
@@ -232,21 +243,44 @@ def _encoded(pixels: dict[str, NDArray[Any]], attributes: dict[str, str]) -> byt
 
 
 def _checked_attributes(path: str | os.PathLike[str]) -> dict[str, Any]:
-    headers = [part.header for part in _parts(path, header_only=True)]
-    attributes: dict[str, Any] = next((h for h in headers if "oitlab:technique" in h), {})
-    if not attributes:
+    """Give the attributes of a file that is ours and of a version whose statistics are ours."""
+    with _damage_named(path, "not a readable EXR file"):
+        headers: list[dict[str, Any]] = [part.header for part in _parts(path, header_only=True)]
+    ours = (header for header in headers if any(str(name).startswith("oitlab:") for name in header))
+    attributes = next(ours, None)
+    if attributes is None:
         raise ValueError(f"{os.fspath(path)}: not a file that oitlab.write_exr wrote")
+    with _damage_named(path, "truncated or damaged"):
+        version, stats = _text(attributes, "version"), json.loads(_text(attributes, "stats"))
+    if version != __version__ and set(stats) != {field.name for field in dataclasses.fields(Stats)}:
+        raise ValueError(f"{os.fspath(path)}: written by oitlab {version}, whose statistics differ")
     return attributes
 
 
-def _stats(path: str | os.PathLike[str], attributes: dict[str, Any]) -> Stats:
-    try:
-        return Stats(**json.loads(attributes["oitlab:stats"]))
-    except TypeError as error:
-        version = attributes.get("oitlab:version")
-        raise ValueError(
-            f"{os.fspath(path)}: written by oitlab {version}, whose statistics differ"
-        ) from error
+def _text(attributes: dict[str, Any], name: str) -> str:
+    value = attributes.get(f"oitlab:{name}")
+    if not isinstance(value, str):
+        raise ValueError(f"its attribute oitlab:{name} is {'lost' if value is None else 'no text'}")
+    return value
+
+
+def _tuples(value: Any) -> Any:
+    """Turn the lists of JSON into the tuples that params hold."""
+    if isinstance(value, list):
+        return tuple(map(_tuples, value))
+    return {key: _tuples(item) for key, item in value.items()} if isinstance(value, dict) else value
+
+
+def _check_parts(parts: dict[str, NDArray[Any]], announced: list[str]) -> None:
+    lost = {"image", "transmittance", "depth", "fragments", *announced}.difference(parts)
+    if lost:
+        raise ValueError(f"lost its {', '.join(sorted(lost))}")
+    for name, array in parts.items():
+        if array.dtype.kind != ("u" if name == "fragments" else "f"):
+            raise ValueError(f"{name} holds {array.dtype}")
+    if parts["image"].ndim != 3 or parts["image"].shape[2] != 3:
+        raise ValueError(f"image has shape {parts['image'].shape}")
+    _check_shapes(parts)
 
 
 def _decoded(path: str | os.PathLike[str]) -> dict[str, NDArray[Any]]:
@@ -260,10 +294,16 @@ def _parts(path: str | os.PathLike[str], *, header_only: bool) -> list[Any]:
 
     with open(path, "rb"):  # Python's own errors for a missing or unreadable file
         pass
+    return list(OpenEXR.File(os.fspath(path), header_only=header_only).parts)
+
+
+@contextlib.contextmanager
+def _damage_named(path: str | os.PathLike[str], verdict: str) -> Iterator[None]:
+    """Turn whatever a broken file makes OpenEXR, JSON and NumPy raise into an OSError that names it."""
     try:
-        return list(OpenEXR.File(os.fspath(path), header_only=header_only).parts)
-    except RuntimeError as error:
-        raise OSError(f"{os.fspath(path)}: not a readable EXR file: {error}") from error
+        yield
+    except (RuntimeError, ValueError, TypeError, LookupError, AttributeError, StopIteration) as error:
+        raise OSError(f"{os.fspath(path)}: {verdict}: {error or type(error).__name__}") from error
 
 
 def _floats(array: NDArray[Any]) -> NDArray[np.float32]:
