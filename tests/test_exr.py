@@ -332,6 +332,25 @@ class TestAtomicity:
         write_exr(path, frame(random_image(3)))
         assert np.array_equal(read_exr(path).color, random_image(3))
 
+    def test_what_killed_writers_left_goes_after_a_day(self, tmp_path):
+        old, young, other = (tmp_path / f".{name}.{'0a' * 6}.tmp" for name in ("a.exr", "b.exr", "a_exr"))
+        unrelated = tmp_path / ".a.exr.notes.tmp"
+        for path in (old, young, other, unrelated):
+            path.write_text("half a file")
+        for path in (old, other, unrelated):
+            os.utime(path, (0, 0))
+        for name in ("a.exr", "b.exr"):
+            write_exr(tmp_path / name, frame(random_image(1)))
+        assert sorted(path for path in tmp_path.iterdir() if path.suffix == ".tmp") == sorted(
+            [young, other, unrelated]
+        )
+
+    @pytest.mark.parametrize("name", ["🦊" * 62 + ".exr", "x" * 251 + ".exr", "ü.exr"])
+    def test_names_as_long_as_the_file_system_takes(self, tmp_path, name):
+        write_exr(tmp_path / name, frame(random_image(1)))
+        assert [path.name for path in tmp_path.iterdir()] == [name]
+        assert read_exr(tmp_path / name).technique == "wboit"
+
     def test_link_stays_a_link(self, tmp_path):
         (tmp_path / "link.exr").symlink_to(tmp_path / "target.exr")
         write_exr(tmp_path / "link.exr", frame(random_image(1)))

@@ -4,9 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import secrets
+import time
 from collections.abc import Iterator
 from pathlib import Path
+
+_NAME_BYTES = 200
+_STALE_SECONDS = 24 * 3600.0
 
 
 @contextlib.contextmanager
@@ -14,8 +19,9 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Give a temporary path beside `path`; on success it takes `path`'s place, on failure it is removed.
 
     The temporary file lies in the same folder, so that the final rename never crosses a file system, and
-    is flushed to disk before the rename: a crash at any moment leaves the old file or the new one. A
-    symbolic link stays a link, its target is replaced.
+    is flushed to disk before the rename: a crash at any moment leaves the old file or the new one. A writer
+    that is killed leaves its temporary file `.NAME.<12 hex digits>.tmp` behind; the next one for the same
+    target removes those that are a day old. A symbolic link stays a link, its target is replaced.
 
     Parameters
     ----------
@@ -53,7 +59,9 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
         )
     if target.is_dir():
         raise IsADirectoryError(f"cannot write {os.fspath(path)!r}: it is a folder")
-    temporary = target.with_name(f".{target.name[:64]}.{secrets.token_hex(6)}.tmp")
+    stem = f".{_shortened(target.name)}"
+    temporary = target.with_name(f"{stem}.{secrets.token_hex(6)}.tmp")
+    _remove_stale(target.parent, re.compile(re.escape(stem) + r"\.[0-9a-f]{12}\.tmp"))
     try:
         yield temporary
         _flush(temporary)
@@ -61,6 +69,20 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
     finally:
         temporary.unlink(missing_ok=True)
     _flush_folder(target.parent)
+
+
+def _shortened(name: str) -> str:
+    """Cut a name where its temporary file's name would exceed the 255 bytes that file systems take."""
+    return name.encode(errors="surrogateescape")[:_NAME_BYTES].decode(errors="ignore")
+
+
+def _remove_stale(folder: Path, pattern: re.Pattern[str]) -> None:
+    """Remove what killed writers left; a file that cannot be removed is none of this writer's troubles."""
+    oldest = time.time() - _STALE_SECONDS
+    with contextlib.suppress(OSError), os.scandir(folder) as entries:
+        for entry in entries:
+            if pattern.fullmatch(entry.name) and entry.stat(follow_symlinks=False).st_mtime < oldest:
+                os.unlink(entry.path)
 
 
 def _flush(path: Path) -> None:
