@@ -45,7 +45,15 @@ class TestParameters:
             ("seed=null", ("seed", None)),
             ("weight=mb7", ("weight", "mb7")),
             ("weight=z<1?2=3", ("weight", "z<1?2=3")),
-            ("edges=[1]", ("edges", "[1]")),
+            ("edges=[1]", ("edges", (1,))),
+            ("range=[1,2.5]", ("range", (1, 2.5))),
+            ("range = 1, 2.5 ", ("range", (1, 2.5))),
+            ("range=[1,[2]]", ("range", "[1,[2]]")),
+            ("range=[1,", ("range", "[1,")),
+            ("range=[]", ("range", "[]")),
+            ("names=a,b", ("names", "a,b")),
+            ('name="a"', ("name", '"a"')),
+            ('by={"a":1}', ("by", '{"a":1}')),
             (" bins = 8 ", ("bins", 8)),
             ("name=", ("name", "")),
         ],
@@ -64,8 +72,29 @@ class TestParameters:
         assert cli.parse_variant("wboit") == ("wboit", {})
         assert cli.parse_variant("lwboit:bins=8:smooth=false") == ("lwboit", {"bins": 8, "smooth": False})
 
+    @pytest.mark.parametrize(
+        ("text", "expected"),
+        [
+            ("wboit", ["wboit"]),
+            ("a,b:x=1,c", ["a", "b:x=1", "c"]),
+            ("a:range=[1,2]:b=3,c:edges=[4,5,6],d", ["a:range=[1,2]:b=3", "c:edges=[4,5,6]", "d"]),
+            ("a:x=[1,b", ["a:x=[1", "b"]),
+            ("a,", ["a", ""]),
+        ],
+    )
+    def test_lists_of_variants(self, text, expected):
+        assert cli.split_variants(text) == expected
+
 
 class TestRender:
+    @pytest.mark.parametrize("text", ["range=[1,9.5]", "range=1,9.5"])
+    def test_params_of_several_numbers(self, capsys, tmp_path, text):
+        path = tmp_path / "a.exr"
+        arguments = ["--technique", "opacity_shadow_maps", "--param", text, "-o", path]
+        status, _, err = run(capsys, "render", "scene:squares", *SMALL, *arguments)
+        assert (status, err) == (0, "")
+        assert oitlab.read_exr(path).params["range"] == (1.0, 9.5)
+
     def test_exr_and_png(self, capsys, tmp_path, model):
         output = tmp_path / "out.exr"
         arguments = [
@@ -130,7 +159,7 @@ class TestCompare:
         assert status == 0
         lines = out.splitlines()
         assert "48 x 27" in lines[0]
-        assert all(word in out for word in ("RMSE", "resolve ms", "bytes/pixel", "dropped"))
+        assert all(word in out for word in ("RMSE", "resolve ms", "total ms", "bytes/pixel", "dropped"))
         assert [
             line.split()[0] for line in lines if line.split()[:1] and line.split()[0] in names.split(",")
         ] == [
@@ -139,6 +168,12 @@ class TestCompare:
         ]
         assert "lwboit bins=8" in out
         assert "exact" in out
+
+    def test_variants_with_several_numbers(self, capsys):
+        names = "opacity_shadow_maps:range=[1,9.5]:bins=8,wboit"
+        status, out, _ = run(capsys, "compare", "scene:squares", *SMALL, "--techniques", names)
+        assert status == 0
+        assert "opacity_shadow_maps range=(1, 9.5) bins=8 " in out
 
     def test_table_is_never_cut_off(self, capsys, monkeypatch, model):
         monkeypatch.setenv("COLUMNS", "30")
@@ -171,10 +206,10 @@ class TestCompare:
 
 
 class TestDemo:
-    def test_all_techniques_on_two_scenes(self, capsys, tmp_path):
+    def test_all_techniques_on_three_scenes(self, capsys, tmp_path):
         status, out, _ = run(capsys, "demo", *SMALL, "-o", tmp_path)
         assert status == 0
-        for scene in ("squares", "torus_knot"):
+        for scene in ("squares", "torus_knot", "blades"):
             assert (tmp_path / f"{scene}.png").is_file()
             assert f"{scene}, 48 x 27" in out
             for name in oitlab.techniques().ids:

@@ -44,7 +44,7 @@ class TestRows:
         assert [row.factor for row in rows] == [1.0, 12.0, math.inf]
         assert rows[0].mse_255 == 0.0625 * 65025
         assert rows[0].max_error == 0.25
-        assert (rows[0].resolve_ms, rows[0].bytes_per_pixel, rows[0].dropped) == (1.25, 10.0, 3)
+        assert (rows[0].resolve_ms, rows[0].total_ms, rows[0].dropped) == (1.25, 3.5, 3)
 
     def test_table(self):
         reference = np.full((2, 2, 3), 0.5)
@@ -53,14 +53,14 @@ class TestRows:
         assert (
             "soup, 2 x 2: 12,345 fragments, 2.50 per pixel (at most 7), raster 2.0 ms, 2 threads, cpu" in text
         )
-        assert ["wboit", "0.25", "0.0625", "4.06e+03", "0.25", "1", "1.2", "10", "1", "3"] in lines
-        assert ["over", "0", "0", "0", "0", "exact", "1.2", "10", "1", "3"] in lines
+        assert ["wboit", "0.25", "0.0625", "4.06e+03", "0.25", "1", "1.2", "3.5", "10", "1", "3"] in lines
+        assert ["over", "0", "0", "0", "0", "exact", "1.2", "3.5", "10", "1", "3"] in lines
 
     def test_without_wboit_there_is_no_factor(self):
         image = np.zeros((1, 1, 3))
         row = report._row("x", frame(image), frame(image), math.nan)
         assert math.isnan(row.factor)
-        assert printed(Comparison(frame(image), (), (row,))).split()[-5] == "-"
+        assert printed(Comparison(frame(image), (), (row,))).split()[-6] == "-"
 
     def test_csv(self, tmp_path):
         result = comparison(
@@ -71,6 +71,7 @@ class TestRows:
             rows = list(csv.DictReader(file))
         assert [row["technique"] for row in rows] == ["a", "b k=1,2"]
         assert [float(row["rmse"]) for row in rows] == [row.rmse for row in result.rows]
+        assert [float(row["total_ms"]) for row in rows] == [3.5, 3.5]
 
     def test_factors(self):
         factors = [1.0, 119.6, 0.01234, 4.39e13, math.inf, math.nan]

@@ -10,6 +10,7 @@ import argparse
 import contextlib
 import json
 import os
+import re
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
@@ -64,12 +65,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def parse_variant(text: str) -> tuple[str, dict[str, Any]]:
-    """Read one item of `--techniques`: an id, then parameters after colons.
+    """Read one item of `--techniques`: an id, then parameters after colons; sequences in brackets.
 
     Parameters
     ----------
     text : str
-        Such as "lwboit:bins=64:smooth=false".
+        Such as "lwboit:bins=64:range=[1,2]".
 
     Returns
     -------
@@ -90,7 +91,7 @@ def parse_variant(text: str) -> tuple[str, dict[str, Any]]:
 
 
 def parse_param(text: str) -> tuple[str, Any]:
-    """Read "name=value"; the value as a JSON number, true, false or null where it is one, else as text.
+    """Read "name=value": a JSON number, true, false or null; several as "[1,2]" or "1,2"; else text.
 
     Raises
     ------
@@ -101,15 +102,40 @@ def parse_param(text: str) -> tuple[str, Any]:
     --------
     >>> parse_param("bins=64"), parse_param("smooth=false"), parse_param("weight=mb7")
     (('bins', 64), ('smooth', False), ('weight', 'mb7'))
+    >>> parse_param("range=[1,2.5]"), parse_param("range=1,2.5")
+    (('range', (1, 2.5)), ('range', (1, 2.5)))
     """
     name, equals, value = text.partition("=")
     if not equals or not name.strip():
         raise ValueError(f"parameter {text!r}: expected name=value")
-    with contextlib.suppress(json.JSONDecodeError):
-        parsed = json.loads(value)
-        if not isinstance(parsed, list | dict | str):
-            return name.strip(), parsed
-    return name.strip(), value.strip()
+    return name.strip(), _value(value.strip())
+
+
+def _value(text: str) -> Any:
+    """Read a JSON scalar, or a tuple of them with or without brackets; anything else stays text."""
+    for candidate in (text, f"[{text}]"):
+        with contextlib.suppress(json.JSONDecodeError):
+            parsed = json.loads(candidate)
+            if isinstance(parsed, list) and parsed and not any(map(_is_nested, parsed)):
+                return tuple(parsed)
+            if not isinstance(parsed, list | dict | str):
+                return parsed
+    return text
+
+
+def _is_nested(item: Any) -> bool:
+    return isinstance(item, list | dict | str)
+
+
+def split_variants(text: str) -> list[str]:
+    """Split the list of `--techniques` at the commas outside brackets.
+
+    Examples
+    --------
+    >>> split_variants("wboit,opacity_shadow_maps:range=[1,2]:bins=8")
+    ['wboit', 'opacity_shadow_maps:range=[1,2]:bins=8']
+    """
+    return re.split(r",(?![^\[\]]*\])", text)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -130,7 +156,13 @@ def _add_render(commands: Any) -> None:
     command.add_argument(
         "--technique", default="a_buffer", metavar="ID", help="default: a_buffer, the exact image"
     )
-    command.add_argument("--param", action="append", default=[], metavar="NAME=VALUE", help="repeatable")
+    command.add_argument(
+        "--param",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="repeatable; several numbers as in range=1,2",
+    )
     command.add_argument("-o", "--output", type=Path, metavar="FILE", help="write FILE.exr or FILE.png")
     command.add_argument(
         "--png", nargs="?", const="", metavar="FILE", help="also a PNG, by default beside the output"
@@ -149,7 +181,9 @@ def _add_compare(commands: Any) -> None:
     command = commands.add_parser("compare", help="compare techniques with the exact image")
     _add_scene(command)
     command.add_argument(
-        "--techniques", metavar="A,B,...", help="ids, with parameters as in lwboit:bins=64; default: all"
+        "--techniques",
+        metavar="A,B,...",
+        help="ids, with parameters as in lwboit:bins=64:range=[1,2]; default: all",
     )
     command.add_argument("--reference", default="a_buffer", metavar="ID", help="default: a_buffer")
     command.add_argument(
@@ -238,7 +272,7 @@ def _write(target: Path, frame: Frame, exact: Frame | None, options: argparse.Na
 
 def _compare(options: argparse.Namespace) -> None:
     names = options.techniques
-    variants = _all_techniques() if names is None else [parse_variant(text) for text in names.split(",")]
+    variants = _all_techniques() if names is None else [parse_variant(text) for text in split_variants(names)]
     scene = _scene(options)
     title = Path(options.scene.removeprefix(_SCENE_PREFIX)).name
     comparison = _measured(scene, variants, title, options.threads, options.reference)

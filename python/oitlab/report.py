@@ -46,7 +46,10 @@ class Row:
         MSE of default wboit divided by this MSE: 2 means half of wboit's error, inf means exact,
         NaN that the registry has no wboit.
     resolve_ms : float
-        Milliseconds that the technique itself took, rasterisation not included.
+        Milliseconds that the technique itself took on the fragments.
+    total_ms : float
+        Milliseconds of all that this image needed, such as `painter`'s sort of the primitives: from the
+        kept fragments on or, where they are too many to keep, with the shared rasterisation.
     bytes_per_pixel : float
         Memory of a streaming GPU implementation.
     geometry_passes : float
@@ -56,7 +59,7 @@ class Row:
 
     Examples
     --------
-    >>> Row("wboit", 0.01, 0.1, 0.5, 650.25, 1.0, 2.0, 12, 1, 0).label
+    >>> Row("wboit", 0.01, 0.1, 0.5, 650.25, 1.0, 2.0, 2.5, 12, 1, 0).label
     'wboit'
     """
 
@@ -67,6 +70,7 @@ class Row:
     mse_255: float
     factor: float
     resolve_ms: float
+    total_ms: float
     bytes_per_pixel: float
     geometry_passes: float
     dropped: int
@@ -211,6 +215,7 @@ def _row(name: str, frame: Frame, exact: Frame, baseline: float) -> Row:
         mse_255=error["mse_255"],
         factor=baseline / error["mse"] if error["mse"] > 0.0 else exactness,
         resolve_ms=frame.stats.resolve_ms,
+        total_ms=frame.stats.total_ms,
         bytes_per_pixel=frame.stats.bytes_per_pixel,
         geometry_passes=frame.stats.geometry_passes,
         dropped=frame.stats.dropped,
@@ -225,6 +230,7 @@ _COLUMNS: tuple[tuple[str, Callable[[Row], str]], ...] = (
     ("max error", lambda row: f"{row.max_error:.3g}"),
     ("wboit MSE / MSE", lambda row: _factor_text(row.factor)),
     ("resolve ms", lambda row: f"{row.resolve_ms:.1f}"),
+    ("total ms", lambda row: f"{row.total_ms:.1f}"),
     ("bytes/pixel", lambda row: _count_text(row.bytes_per_pixel)),
     ("passes", lambda row: _count_text(row.geometry_passes)),
     ("dropped", lambda row: f"{row.dropped:,}"),
