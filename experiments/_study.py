@@ -4,20 +4,16 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
-import platform
-import subprocess
 import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
 import numpy as np
 
-import oitlab
+from oitlab._provenance import provenance
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt
@@ -60,30 +56,13 @@ class Study:
 
     def save(self, results: dict[str, Any], markdown: str) -> None:
         """Write results.json and table.md, both with the machine, versions, date and commit."""
-        about = provenance(self)
+        command = f"python experiments/{self.name}.py" + (" --quick" if self.quick else "")
+        about = {"command": command, **provenance()}
         path = self.folder / "results.json"
         text = json.dumps({"about": about, **results}, indent=1, allow_nan=False)
         path.write_text(text + "\n", encoding="utf-8")
         (self.folder / "table.md").write_text(f"{markdown}\n\n{_footer(about)}\n", encoding="utf-8")
         print(markdown, f"\n\n{_footer(about)}\n\nwritten: {self.folder}", sep="")
-
-
-def provenance(study: Study) -> dict[str, Any]:
-    """Tell what the numbers depend on: command, date, commit, machine and versions."""
-    return {
-        "command": f"python experiments/{study.name}.py" + (" --quick" if study.quick else ""),
-        "date": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
-        "commit": _commit(),
-        "cpu": _cpu_model(),
-        "cores": os.cpu_count(),
-        "load_average": round(os.getloadavg()[0], 2) if hasattr(os, "getloadavg") else None,
-        "system": f"{platform.system()} {platform.machine()}",
-        "versions": {
-            "oitlab": oitlab.__version__,
-            "python": platform.python_version(),
-            "numpy": np.__version__,
-        },
-    }
 
 
 def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
@@ -141,29 +120,8 @@ def stop(message: str) -> None:
 
 def _footer(about: dict[str, Any]) -> str:
     versions = ", ".join(f"{name} {version}" for name, version in about["versions"].items())
+    commit = about["commit"] or "unknown"
     return (
-        f"`{about['command']}`, {about['date']}, commit {about['commit']}, {about['cpu']}, {about['cores']} "
+        f"`{about['command']}`, {about['date']}, commit {commit}, {about['cpu']}, {about['cores']} "
         f"cores, load average {about['load_average']}, {about['system']}; {versions}."
     )
-
-
-def _commit() -> str:
-    def git(*arguments: str) -> str:
-        command = ["git", "-C", str(CHECKOUT), *arguments]
-        return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
-
-    try:
-        changed = git("status", "--porcelain", "--untracked-files=no", "--", "src", "python", "experiments")
-        return git("rev-parse", "--short", "HEAD") + (" with local changes" if changed else "")
-    except (OSError, subprocess.CalledProcessError):
-        return "unknown"
-
-
-def _cpu_model() -> str:
-    try:
-        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
-            if line.startswith("model name"):
-                return line.partition(":")[2].strip()
-    except OSError:
-        pass
-    return platform.processor() or platform.machine()

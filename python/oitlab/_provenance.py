@@ -13,9 +13,12 @@ import numpy as np
 
 from ._oitlab import __version__
 
+_CODE = (":/src", ":/shaders", ":/python", ":/experiments", ":/benches", ":/Cargo.lock")
+"""What numbers depend on; results that a run has just rewritten do not make the next one "-dirty"."""
+
 
 def provenance() -> dict[str, Any]:
-    """Tell machine, versions, date and, in a checkout, the commit ("-dirty" where files are changed)."""
+    """Tell machine, versions, date and, in a checkout, the commit ("-dirty" where code is changed)."""
     return {
         "date": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
         "commit": _commit(),
@@ -32,13 +35,17 @@ def provenance() -> dict[str, Any]:
 
 
 def _commit() -> str | None:
-    command = ["git", "describe", "--always", "--dirty", "--abbrev=10"]
     try:
-        done = subprocess.run(
-            command, cwd=Path(__file__).parent, capture_output=True, text=True, check=True, timeout=10
-        )
+        changed = _git("status", "--porcelain", "--untracked-files=no", "--", *_CODE)
+        return _git("rev-parse", "--short=10", "HEAD") + ("-dirty" if changed else "")
     except (OSError, subprocess.SubprocessError):
         return None
+
+
+def _git(*arguments: str) -> str:
+    done = subprocess.run(
+        ["git", *arguments], cwd=Path(__file__).parent, capture_output=True, text=True, check=True, timeout=10
+    )
     return done.stdout.strip()
 
 
