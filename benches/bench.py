@@ -75,7 +75,8 @@ def main() -> None:
     options.output.write_text(json.dumps({"about": about, "scenes": results}, indent=1) + "\n")
     print(report(results))
     print(
-        f"medians of whole calls; the bracket is the ratio to wboit in the same run; written: {options.output}"
+        "medians of whole calls; the bracket is the ratio to wboit in the same run; "
+        f"written: {options.output}"
     )
 
 

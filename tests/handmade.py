@@ -1,5 +1,6 @@
 """Frames written by hand, for tests that need no renderer."""
 
+import inspect
 from typing import Any
 
 import numpy as np
@@ -21,16 +22,7 @@ STATS = Stats(
     threads=2,
 )
 
-FIELDS = (
-    "color",
-    "transmittance",
-    "technique",
-    "params",
-    "scene_hash",
-    "stats",
-    "first_depth",
-    "fragment_count",
-)
+FIELDS = tuple(inspect.signature(Frame).parameters)
 
 
 def frame(color: Any, *, technique: str = "wboit", **fields: Any) -> Frame:
