@@ -8,8 +8,8 @@ use glam::{DVec3, DVec4};
 
 /// Seeds over which means are taken.
 pub const SEEDS: usize = 4096;
-/// Standard scores beyond this one are no accident: over the 100 comparisons that a test makes at most it
-/// happens by chance to 1 in 1500 tests (Bonferroni), and seeds are fixed.
+/// Standard scores beyond this one are no accident: among the 1000 comparisons that a test makes at most, chance
+/// makes one in less than 1 of 100 tests (Bonferroni), and seeds are fixed.
 pub const SIGNIFICANT: f64 = 4.5;
 /// Where there is no noise, what the rounding of f32 state leaves.
 const ROUNDING: f64 = 2e-6;
@@ -24,7 +24,8 @@ pub struct Sampled {
 }
 
 impl Sampled {
-    fn new(draws: &[DVec4]) -> Self {
+    /// Of draws of colour and transmittance.
+    pub fn of(draws: Vec<DVec4>) -> Self {
         let n = draws.len() as f64;
         let mean = draws.iter().sum::<DVec4>() / n;
         let variance = draws.iter().map(|d| (d - mean) * (d - mean)).sum::<DVec4>() / (n - 1.0);
@@ -48,7 +49,7 @@ pub fn over_seeds(id: &str, inputs: &[(&str, Input)], scene: &Scene, seeds: usiz
             draws.push(got.color.extend(got.transmittance.x));
         }
     }
-    draws.iter().map(|d| Sampled::new(d)).collect()
+    draws.into_iter().map(Sampled::of).collect()
 }
 
 /// Asserts that the mean over seeds is what `expected` says of each pixel.
@@ -68,7 +69,7 @@ pub fn assert_mean(
 #[test]
 fn scores_by_hand() {
     let draws = [DVec4::splat(1.0), DVec4::splat(3.0)];
-    let sampled = Sampled::new(&draws);
+    let sampled = Sampled::of(draws.to_vec());
     assert_eq!(
         (sampled.mean, sampled.variance, sampled.error),
         (DVec4::splat(2.0), DVec4::splat(2.0), DVec4::ONE)
