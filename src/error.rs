@@ -32,6 +32,9 @@ pub enum Error {
         /// The parameters or values that would have been accepted.
         valid: String,
     },
+    /// There is not enough memory.
+    #[error("not enough memory for {0}")]
+    Memory(String),
     /// The caller asked to stop.
     #[error("the render was cancelled")]
     Cancelled,

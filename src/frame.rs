@@ -1,7 +1,6 @@
 //! What a render gives back: images and what they cost.
 
 use crate::params::Params;
-use std::sync::Arc;
 
 /// A sample type of images.
 pub trait Sample: Copy + Send + Sync + Default + 'static {
@@ -56,10 +55,6 @@ pub struct Frame {
     pub transmittance: Image,
     /// 1 or 3.
     pub transmittance_channels: usize,
-    /// Depth of the nearest fragment; infinite where there is none.
-    pub first_depth: Arc<Vec<f32>>,
-    /// Fragments per pixel.
-    pub fragment_count: Arc<Vec<u32>>,
     /// What it took.
     pub stats: Stats,
 }

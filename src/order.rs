@@ -2,6 +2,7 @@
 
 use crate::fragments::{List, Lists, ListsRef};
 use crate::random::hash32;
+use rayon::slice::ParallelSliceMut;
 use std::collections::HashMap;
 
 /// The orders that every technique accepts, as users write them; the first is the default.
@@ -93,7 +94,7 @@ impl CentroidOrder {
 
 fn back_to_front(primitives: impl Iterator<Item = (u32, f64)>) -> Vec<u32> {
     let mut sorted: Vec<_> = primitives.collect();
-    sorted.sort_unstable_by(|a, b| b.1.total_cmp(&a.1).then(b.0.cmp(&a.0)));
+    sorted.par_sort_unstable_by(|a, b| b.1.total_cmp(&a.1).then(b.0.cmp(&a.0)));
     sorted.into_iter().map(|(id, _)| id).collect()
 }
 

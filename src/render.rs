@@ -1,25 +1,28 @@
 //! The one way through the house: scene -> raster -> fragments -> technique -> frame.
 
 mod capture;
+mod depth;
 mod image;
 mod inspect;
+mod tiles;
 
 pub use capture::capture;
+pub use depth::{DepthImages, depth_images};
 pub use inspect::{Transmittance, order_sensitivity, transmittance};
 
 use crate::error::{Error, Result};
-use crate::fragments::{Fragments, Lists};
+use crate::fragments::Fragments;
 use crate::frame::{Frame, Sample, Stats};
 use crate::order::{CentroidOrder, SubmissionOrder};
 use crate::params::{Checked, Input, Params, View, check};
-use crate::raster::{self, Raster, Tile};
+use crate::raster::{self, Raster};
 use crate::resolve::{Context, Resolver, Variant, VariantTally, nanos_since};
 use crate::scene::Scene;
-use crate::technique::{Batch, DepthComplexity, Info, Resolved};
+use crate::technique::{Batch, DepthComplexity, Info};
 use crate::techniques::find;
 use image::{Band, Piece, Target};
 use rayon::prelude::*;
-use std::sync::{Arc, Mutex};
+use std::sync::Mutex;
 use std::time::Instant;
 
 /// What can be rendered.
@@ -67,10 +70,25 @@ pub fn render<S: Sample>(
     stop: &(dyn Fn() -> bool + Sync),
 ) -> Result<Vec<Frame>> {
     let checked = requests.iter().map(check_request).collect::<Result<Vec<_>>>()?;
-    with_threads(options.threads, |threads| {
-        let job = Job::new(source, &checked, options, stop)?;
-        let finished = job.run::<S>(source)?;
-        Ok(job.frames(finished, threads))
+    let start = Instant::now();
+    with_threads(options.threads, |threads| match source {
+        Source::Scene(scene) => {
+            let provisional = raster::provisional_view(scene);
+            checked.iter().try_for_each(|(info, checked)| bind(info, checked, &provisional).map(drop))?;
+            let raster = Raster::new(scene, options.tile_size, stop);
+            let setup_nanos = nanos_since(start);
+            let job = Job::new(source, &raster.view(), &checked, options, stop)?;
+            let finished = job.scene::<S>(&raster, job.target(scene.width(), scene.height())?)?;
+            let wall_nanos = nanos_since(start);
+            Ok(job.frames(finished, &Clock { setup_nanos, wall_nanos, threads }))
+        }
+        Source::Fragments(fragments) => {
+            let job = Job::new(source, &fragments.view, &checked, options, stop)?;
+            let target = job.target(fragments.width, fragments.height)?;
+            let finished = job.fragments::<S>(fragments, target)?;
+            let wall_nanos = nanos_since(start);
+            Ok(job.frames(finished, &Clock { setup_nanos: 0, wall_nanos, threads }))
+        }
     })
 }
 
@@ -103,26 +121,31 @@ fn bind(info: &'static Info, checked: &Checked, view: &View) -> Result<Variant> 
 /// A render with everything decided: each different variant once, and which of them answers which request.
 struct Job<'a> {
     variants: Vec<Variant>,
+    /// The variants that are summed while rasterising ...
+    streamed: Vec<usize>,
+    /// ... and those that are resolved from lists.
+    listed: Vec<usize>,
     /// Per request: the variant that answers it, and the params as requested.
     answers: Vec<(usize, Params)>,
     centroids: Option<CentroidOrder>,
     options: &'a Options,
     stop: &'a (dyn Fn() -> bool + Sync),
-    start: Instant,
+    /// Wall time spent on centroids and their order.
+    centroid_nanos: u64,
 }
 
 /// Everything that a run produced.
 struct Finished<S> {
     target: Target<S>,
     tally: Tally,
-    raster_nanos: u64,
-    wall_nanos: u64,
 }
 
 /// Counts of a run, summed over tiles.
 #[derive(Debug, Clone, Default)]
 struct Tally {
     raster_nanos: u64,
+    /// The part of `raster_nanos` that was blending, by samples.
+    streaming_nanos: u64,
     fragments: u64,
     deepest: u64,
     empty_tiles: u64,
@@ -145,6 +168,7 @@ impl Tally {
 
     fn merge(mut self, other: &Self) -> Self {
         self.raster_nanos += other.raster_nanos;
+        self.streaming_nanos += other.streaming_nanos;
         self.fragments += other.fragments;
         self.deepest = self.deepest.max(other.deepest);
         self.empty_tiles += other.empty_tiles;
@@ -159,24 +183,19 @@ impl Tally {
     }
 }
 
-/// One thread's working memory.
-#[derive(Default)]
-struct Worker {
-    tile: Tile,
-    lists: Lists,
-    resolver: Resolver,
-    resolved: Vec<Vec<Resolved>>,
+/// Working memories waiting for a tile.
+struct Workers<T>(Mutex<Vec<T>>);
+
+impl<T> Default for Workers<T> {
+    fn default() -> Self {
+        Self(Mutex::new(Vec::new()))
+    }
 }
 
-/// Workers waiting for a tile.
-#[derive(Default)]
-struct Workers(Mutex<Vec<Worker>>);
-
-impl Workers {
-    fn with<T>(&self, variants: usize, work: impl FnOnce(&mut Worker) -> T) -> T {
+impl<T> Workers<T> {
+    fn with<R>(&self, new: impl FnOnce() -> T, work: impl FnOnce(&mut T) -> R) -> R {
         let idle = self.0.lock().map_or_else(|_| None, |mut idle| idle.pop());
-        let mut worker = idle.unwrap_or_default();
-        worker.resolved.resize_with(variants, Vec::new);
+        let mut worker = idle.unwrap_or_else(new);
         let result = work(&mut worker);
         if let Ok(mut idle) = self.0.lock() {
             idle.push(worker);
@@ -188,19 +207,15 @@ impl Workers {
 impl<'a> Job<'a> {
     fn new(
         source: Source<'_>,
+        view: &View,
         checked: &[(&'static Info, Checked)],
         options: &'a Options,
         stop: &'a (dyn Fn() -> bool + Sync),
     ) -> Result<Self> {
-        let start = Instant::now();
-        let view = match source {
-            Source::Scene(scene) => raster::view(scene),
-            Source::Fragments(fragments) => fragments.view,
-        };
         let mut variants: Vec<Variant> = Vec::new();
         let mut answers = Vec::new();
         for (info, checked) in checked {
-            let variant = bind(info, checked, &view)?;
+            let variant = bind(info, checked, view)?;
             let params = variant.params.clone();
             let same =
                 |other: &Variant| other.info.id == info.id && other.params.identity() == params.identity();
@@ -211,166 +226,86 @@ impl<'a> Job<'a> {
             });
             answers.push((index, params));
         }
+        let is_scene = matches!(source, Source::Scene(_));
+        let (streamed, listed) =
+            (0..variants.len()).partition(|&v| is_scene && variants[v].streamed().is_some());
+        let start = Instant::now();
         let by_centroid = variants.iter().any(|v| v.order == SubmissionOrder::Centroid);
         let centroids = by_centroid.then(|| match source {
-            Source::Scene(scene) => CentroidOrder::of_all(&raster::centroid_depths(scene)),
+            Source::Scene(scene) => CentroidOrder::of_all(&raster::centroid_depths(scene, stop)),
             Source::Fragments(fragments) => fragments.centroid_order(),
         });
-        Ok(Self { variants, answers, centroids, options, stop, start })
+        let centroid_nanos = nanos_since(start);
+        Ok(Self { variants, streamed, listed, answers, centroids, options, stop, centroid_nanos })
     }
 
-    fn context(&self) -> Context<'_> {
+    fn context<'b>(&'b self, selected: &'b [usize]) -> Context<'b> {
         Context {
             variants: &self.variants,
+            selected,
             centroids: self.centroids.as_ref(),
             skip: self.options.skip,
             stop: self.stop,
         }
     }
 
-    fn run<S: Sample>(&self, source: Source<'_>) -> Result<Finished<S>> {
-        let channels: Vec<usize> =
-            self.variants.iter().map(|v| if v.technique.colored_transmittance() { 3 } else { 1 }).collect();
-        let (width, height) = match source {
-            Source::Scene(scene) => (scene.width(), scene.height()),
-            Source::Fragments(fragments) => (fragments.width, fragments.height),
-        };
-        let mut target = Target::new(width, height, channels);
-        let (tally, raster_nanos) = match source {
-            Source::Scene(scene) => self.scene(scene, &mut target),
-            Source::Fragments(fragments) => (self.fragments(fragments, &mut target), 0),
-        };
-        if (self.stop)() {
-            return Err(Error::Cancelled);
-        }
-        Ok(Finished { target, tally, raster_nanos, wall_nanos: nanos_since(self.start) })
+    fn target<S: Sample>(&self, width: u32, height: u32) -> Result<Target<S>> {
+        let channels = |v: &Variant| if v.technique.colored_transmittance() { 3 } else { 1 };
+        Target::new(width, height, &self.variants.iter().map(channels).collect::<Vec<_>>())
     }
 
-    /// Rasterises and resolves tile by tile; the wall time of projecting and binning beside the counts.
-    fn scene<S: Sample>(&self, scene: &Scene, target: &mut Target<S>) -> (Tally, u64) {
-        let raster = Raster::new(scene, self.options.tile_size, self.stop);
-        let setup_nanos = nanos_since(self.start);
+    /// Rasterises and resolves tile by tile.
+    fn scene<S: Sample>(&self, raster: &Raster<'_>, mut target: Target<S>) -> Result<Finished<S>> {
         let workers = Workers::default();
-        let bands = target.bands(self.options.tile_size);
-        let tally = bands
+        let tally = target
+            .bands(self.options.tile_size)
             .into_par_iter()
             .enumerate()
-            .map(|(row, band)| self.band(&raster, row, band, &workers))
+            .map(|(row, band)| self.band(raster, row, band, &workers))
             .reduce(|| Tally::new(self.variants.len()), |a, b| a.merge(&b));
-        (tally, setup_nanos)
-    }
-
-    fn band<S: Sample>(
-        &self,
-        raster: &Raster<'_>,
-        row: usize,
-        mut band: Band<'_, S>,
-        workers: &Workers,
-    ) -> Tally {
-        let tiles: Vec<_> = (0..raster.columns())
-            .into_par_iter()
-            .map(|column| workers.with(self.variants.len(), |worker| self.tile(raster, column, row, worker)))
-            .collect();
-        let mut tally = Tally::new(self.variants.len());
-        for (column, (piece, tile_tally)) in tiles.iter().enumerate() {
-            band.store(&raster.rect(column, row), piece.as_ref(), raster.background());
-            tally = tally.merge(tile_tally);
-        }
-        tally
-    }
-
-    /// One tile's pixels, or nothing where the background shows alone.
-    fn tile<S: Sample>(
-        &self,
-        raster: &Raster<'_>,
-        column: usize,
-        row: usize,
-        worker: &mut Worker,
-    ) -> (Option<Piece<S>>, Tally) {
-        let mut tally = Tally::new(self.variants.len());
-        let rect = raster.rect(column, row);
-        if self.options.skip && raster.is_empty_tile(column, row) {
-            tally.empty_tiles = 1;
-            tally.empty_pixels = rect.area() as u64;
-            return (None, tally);
-        }
-        let mut piece = Piece::with_capacity(rect.area(), &self.variants);
-        let start = Instant::now();
-        if !worker.tile.begin(raster, column, row, self.stop) {
-            return (None, tally);
-        }
-        tally.raster_nanos += nanos_since(start);
-        let mut first = 0;
-        while first < rect.area() {
-            let last = part_end(first, rect.area(), self.options.max_fragments, |i| {
-                worker.tile.counts()[i] as usize
-            });
-            let start = Instant::now();
-            if !worker.tile.fill(raster, first, last, &mut worker.lists, self.stop) {
-                return (None, tally);
-            }
-            tally.raster_nanos += nanos_since(start);
-            #[expect(
-                clippy::cast_sign_loss,
-                clippy::cast_possible_truncation,
-                reason = "pixels of the image"
-            )]
-            let batch = Batch {
-                x: rect.x0 as u32,
-                y: rect.y0 as u32,
-                width: rect.width() as u32,
-                first: first as u32,
-                lists: worker.lists.as_ref(),
-                sorted: None,
-                background: &worker.tile.background()[first..last],
-            };
-            worker.resolver.run(&self.context(), &batch, &mut worker.resolved, &mut tally.variants);
-            piece.append(&batch, &worker.resolved, &mut tally);
-            first = last;
-        }
-        tally.occluded_fragments = worker.tile.occluded();
-        (Some(piece), tally)
+        if (self.stop)() { Err(Error::Cancelled) } else { Ok(Finished { target, tally }) }
     }
 
     /// Resolves a fragment list piece by piece.
-    fn fragments<S: Sample>(&self, fragments: &Fragments, target: &mut Target<S>) -> Tally {
+    fn fragments<S: Sample>(&self, fragments: &Fragments, mut target: Target<S>) -> Result<Finished<S>> {
         let rows = fragments.lists.as_ref();
         let ends = run_ends(fragments, PIECE_PIXELS, self.options.max_fragments);
         let workers = Workers::default();
-        target
+        let new_worker = || (Resolver::default(), vec![Vec::new(); self.variants.len()]);
+        let run = |(first, mut band): (usize, Band<'_, S>)| {
+            let last = first + band.pixels();
+            let background: Vec<_> = (first..last).map(|i| fragments.background.at(i)).collect();
+            #[expect(clippy::cast_possible_truncation, reason = "at most MAX_SIZE squared pixels")]
+            let batch = Batch {
+                x: 0,
+                y: 0,
+                width: fragments.width,
+                first: first as u32,
+                lists: rows.rows(first, last),
+                sorted: None,
+                background: &background,
+            };
+            workers.with(new_worker, |(resolver, resolved)| {
+                let mut tally = Tally::new(self.variants.len());
+                (first..last).for_each(|i| tally.count(rows.count(i)));
+                resolver.run(&self.context(&self.listed), &batch, 0, resolved, &mut tally.variants);
+                let mut piece = Piece::with_capacity(last - first, &self.variants);
+                resolved.iter().enumerate().for_each(|(v, pixels)| piece.append(v, pixels));
+                band.store_run(&piece);
+                tally
+            })
+        };
+        let tally = target
             .runs(&ends)
             .into_par_iter()
-            .map(|(first, mut band)| {
-                let last = first + band.pixels();
-                let background: Vec<_> = (first..last).map(|i| fragments.background.at(i)).collect();
-                #[expect(clippy::cast_possible_truncation, reason = "at most MAX_SIZE squared pixels")]
-                let batch = Batch {
-                    x: 0,
-                    y: 0,
-                    width: fragments.width,
-                    first: first as u32,
-                    lists: rows.rows(first, last),
-                    sorted: None,
-                    background: &background,
-                };
-                workers.with(self.variants.len(), |worker| {
-                    let mut tally = Tally::new(self.variants.len());
-                    let mut piece = Piece::with_capacity(last - first, &self.variants);
-                    worker.resolver.run(&self.context(), &batch, &mut worker.resolved, &mut tally.variants);
-                    piece.append(&batch, &worker.resolved, &mut tally);
-                    band.store_run(&piece);
-                    tally
-                })
-            })
-            .reduce(|| Tally::new(self.variants.len()), |a, b| a.merge(&b))
+            .map(run)
+            .reduce(|| Tally::new(self.variants.len()), |a, b| a.merge(&b));
+        if (self.stop)() { Err(Error::Cancelled) } else { Ok(Finished { target, tally }) }
     }
 
-    fn frames<S: Sample>(&self, finished: Finished<S>, threads: usize) -> Vec<Frame> {
-        let Finished { target, tally, raster_nanos, wall_nanos } = finished;
+    fn frames<S: Sample>(&self, finished: Finished<S>, clock: &Clock) -> Vec<Frame> {
+        let Finished { target, tally } = finished;
         let (width, height) = (target.width, target.height);
-        let clock = Clock { setup_nanos: raster_nanos, wall_nanos, threads };
-        let first_depth = Arc::new(target.first_depth);
-        let fragment_count = Arc::new(target.fragment_count);
         let mut images: Vec<_> = target.images.into_iter().map(Some).collect();
         let mut last_use = vec![0; images.len()];
         for (request, (variant, _)) in self.answers.iter().enumerate() {
@@ -389,9 +324,7 @@ impl<'a> Job<'a> {
                 color: S::wrap(image.color),
                 transmittance: S::wrap(image.transmittance),
                 transmittance_channels: image.channels,
-                first_depth: Arc::clone(&first_depth),
-                fragment_count: Arc::clone(&fragment_count),
-                stats: self.stats(*index, last_use[*index] != request, &tally, &clock, width, height),
+                stats: self.stats(*index, last_use[*index] != request, &tally, clock, width, height),
             }
         };
         self.answers.iter().enumerate().map(answer).collect()
@@ -412,8 +345,11 @@ impl<'a> Job<'a> {
         let variant = &tally.variants[index];
         let cost = self.variants[index].technique.cost(&DepthComplexity { mean, max: deepest });
         let share = |nanos: u64| nanos as f64 / clock.threads as f64 * 1e-6;
-        let raster_ms = clock.setup_nanos as f64 * 1e-6 + share(tally.raster_nanos);
-        let resolve_ms = share(variant.nanos);
+        let drawing = tally.raster_nanos.saturating_sub(tally.streaming_nanos);
+        let raster_ms = clock.setup_nanos as f64 * 1e-6 + share(drawing);
+        let by_centroid = self.variants[index].order == SubmissionOrder::Centroid;
+        let ranking_ms = if by_centroid { self.centroid_nanos as f64 * 1e-6 } else { 0.0 };
+        let resolve_ms = ranking_ms + share(variant.nanos);
         let alone = self.variants.len() == 1;
         Stats {
             total_ms: if alone { clock.wall_nanos as f64 * 1e-6 } else { raster_ms + resolve_ms },

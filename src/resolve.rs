@@ -1,6 +1,7 @@
 //! Runs techniques over batches of pixels: hands each the fragments it should see, in the order it should see
 //! them, and answers pixels itself where the answer is provably the technique's own.
 
+use crate::continuum::sums::Blended;
 use crate::fragments::{Lists, ListsRef};
 use crate::order::{CentroidOrder, Reorderer, SubmissionOrder, without_zero_fragments};
 use crate::params::Params;
@@ -21,8 +22,24 @@ pub struct Variant {
 }
 
 impl Variant {
-    fn wants_sorted(&self) -> bool {
+    /// Whether the fragments are wanted nearest first, beside their submission order or instead.
+    pub fn wants_sorted(&self) -> bool {
         self.technique.needs_sorted() || self.order == SubmissionOrder::Sorted
+    }
+
+    /// Whether the fragments may come sorted rather than as they arrived.
+    pub fn takes_sorted_alone(&self) -> bool {
+        match self.order {
+            SubmissionOrder::AsIs => self.technique.needs_sorted() && !self.technique.needs_arrival(),
+            SubmissionOrder::Sorted | SubmissionOrder::BackToFront => true,
+            // ties among equal keys fall back to arrival
+            SubmissionOrder::Reversed | SubmissionOrder::Shuffled { .. } | SubmissionOrder::Centroid => false,
+        }
+    }
+
+    /// The technique as sums that can be fed while rasterising, in the order of arrival.
+    pub fn streamed(&self) -> Option<&dyn Blended> {
+        self.technique.blended().filter(|_| self.order == SubmissionOrder::AsIs)
     }
 }
 
@@ -37,40 +54,24 @@ pub struct VariantTally {
     pub single_fragment_pixels: u64,
 }
 
-/// Resolves batches for a fixed set of variants; keep it and its memory is reused.
+/// Resolves batches; keep it and its memory is reused.
 #[derive(Default)]
 pub struct Resolver {
     reorderer: Reorderer,
     kept: Lists,
     sorted: Lists,
-    sorted_with_zeros: Lists,
+    sorted_kept: Lists,
     reordered: Lists,
     pixels: Vec<u32>,
-}
-
-/// What was done for several variants at once.
-struct Prepared {
-    has_zeros: bool,
-    sort_nanos: u64,
-    sort_with_zeros_nanos: u64,
-}
-
-impl Prepared {
-    /// The time that `variant` would have spent on it alone.
-    fn nanos_for(&self, variant: &Variant) -> u64 {
-        match (variant.wants_sorted(), self.has_zeros && variant.technique.sees_zero_fragments()) {
-            (false, _) => 0,
-            (true, false) => self.sort_nanos,
-            (true, true) => self.sort_with_zeros_nanos,
-        }
-    }
 }
 
 /// What all batches of a render have in common.
 #[derive(Clone, Copy)]
 pub struct Context<'a> {
-    /// The techniques to run.
+    /// The techniques of the render ...
     pub variants: &'a [Variant],
+    /// ... and the places of those that are to be resolved from lists.
+    pub selected: &'a [usize],
     /// The primitives by centroid, where a variant asks for that order.
     pub centroids: Option<&'a CentroidOrder>,
     /// Whether shortcuts may be taken.
@@ -79,22 +80,55 @@ pub struct Context<'a> {
     pub stop: &'a (dyn Fn() -> bool + Sync),
 }
 
+impl Context<'_> {
+    fn wants_sorted(&self) -> bool {
+        self.selected.iter().any(|&v| self.variants[v].wants_sorted())
+    }
+}
+
+/// The fragments of a batch: as they are, without those that do nothing, and both of it sorted.
+struct Prepared<'a> {
+    all: ListsRef<'a>,
+    kept: ListsRef<'a>,
+    /// Nearest first, where a variant wants that.
+    sorted: Option<ListsRef<'a>>,
+    sorted_kept: Option<ListsRef<'a>>,
+    /// The time that sorting took.
+    nanos: u64,
+}
+
+impl<'a> Prepared<'a> {
+    /// The lists as they arrived and sorted, as a technique sees them.
+    fn seen_by(&self, technique: &dyn AnyTechnique) -> (ListsRef<'a>, Option<ListsRef<'a>>) {
+        if technique.sees_zero_fragments() { (self.all, self.sorted) } else { (self.kept, self.sorted_kept) }
+    }
+}
+
 impl Resolver {
-    /// Resolves `batch` with every variant: `out[v][i]` is pixel `i` under variant `v`.
+    /// Resolves `batch` with every selected variant: `out[v][i]` is pixel `i` under variant `v`. If the batch
+    /// comes sorted already, that took `sort_nanos`.
     pub fn run(
         &mut self,
         context: &Context<'_>,
         batch: &Batch<'_>,
+        sort_nanos: u64,
         out: &mut [Vec<Resolved>],
         tallies: &mut [VariantTally],
     ) {
-        let shared = self.prepare(context.variants, batch.lists);
-        for ((variant, out), tally) in context.variants.iter().zip(out).zip(tallies) {
+        let Self { reorderer, kept, sorted, sorted_kept, reordered, pixels } = self;
+        let prepared = prepare(batch, context.wants_sorted(), reorderer, [kept, sorted, sorted_kept]);
+        for &v in context.selected {
+            let (variant, out, tally) = (&context.variants[v], &mut out[v], &mut tallies[v]);
             let start = Instant::now();
             out.clear();
             out.extend((0..batch.lists.len()).map(|i| Resolved::background(batch.background(i))));
-            self.run_variant(context, variant, batch, shared.has_zeros, out, tally);
-            tally.nanos += nanos_since(start) + shared.nanos_for(variant);
+            let (lists, sorted) = submitted(variant, &prepared, context.centroids, reorderer, reordered);
+            let batch = Batch { lists, sorted, ..*batch };
+            run_variant(context, variant, &batch, pixels, out, tally);
+            tally.nanos += nanos_since(start);
+            if variant.wants_sorted() {
+                tally.nanos += sort_nanos + prepared.nanos;
+            }
             tally.dropped += out.iter().map(|r| r.dropped).sum::<u64>();
         }
     }
@@ -107,90 +141,90 @@ impl Resolver {
         batch: &Batch<'_>,
         depths: &[f32],
     ) -> Option<Vec<f64>> {
-        let shared = self.prepare(std::slice::from_ref(variant), batch.lists);
-        let (lists, sorted) = self.submitted(variant, centroids, batch.lists, shared.has_zeros);
+        let Self { reorderer, kept, sorted, sorted_kept, reordered, .. } = self;
+        let prepared = prepare(batch, variant.wants_sorted(), reorderer, [kept, sorted, sorted_kept]);
+        let (lists, sorted) = submitted(variant, &prepared, centroids, reorderer, reordered);
         variant.technique.transmittance(&Batch { lists, sorted, ..*batch }.pixel(0), depths)
     }
+}
 
-    /// Filters and sorts once for all variants that want it.
-    fn prepare(&mut self, variants: &[Variant], lists: ListsRef<'_>) -> Prepared {
-        let has_zeros = lists.all.iter().any(|f| f.is_zero());
-        if has_zeros {
-            without_zero_fragments(lists, &mut self.kept);
+/// Filters and sorts once for all variants.
+fn prepare<'a>(
+    batch: &Batch<'a>,
+    sort: bool,
+    reorderer: &mut Reorderer,
+    [kept, sorted, sorted_kept]: [&'a mut Lists; 3],
+) -> Prepared<'a> {
+    let all = batch.lists;
+    let has_zeros = all.all.iter().any(|f| f.is_zero());
+    let start = Instant::now();
+    let sorted = match (batch.sorted, sort) {
+        (Some(sorted), _) => Some(sorted),
+        (None, false) => None,
+        (None, true) => {
+            reorderer.reorder(all, SubmissionOrder::Sorted, None, sorted);
+            Some(sorted.as_ref())
         }
-        let wants_sorted = |zeros: bool| {
-            let same = |v: &&Variant| (has_zeros && v.technique.sees_zero_fragments()) == zeros;
-            variants.iter().filter(same).any(Variant::wants_sorted)
-        };
-        let sort = SubmissionOrder::Sorted;
-        let start = Instant::now();
-        if wants_sorted(false) {
-            let kept = if has_zeros { self.kept.as_ref() } else { lists };
-            self.reorderer.reorder(kept, sort, None, &mut self.sorted);
-        }
-        let sort_nanos = nanos_since(start);
-        let start = Instant::now();
-        if wants_sorted(true) {
-            self.reorderer.reorder(lists, sort, None, &mut self.sorted_with_zeros);
-        }
-        Prepared { has_zeros, sort_nanos, sort_with_zeros_nanos: nanos_since(start) }
+    };
+    let nanos = nanos_since(start);
+    if !has_zeros {
+        return Prepared { all, kept: all, sorted, sorted_kept: sorted, nanos };
     }
+    without_zero_fragments(all, kept);
+    let sorted_kept = sorted.map(|sorted| {
+        without_zero_fragments(sorted, sorted_kept);
+        sorted_kept.as_ref()
+    });
+    Prepared { all, kept: kept.as_ref(), sorted, sorted_kept, nanos }
+}
 
-    /// The lists as `variant` is to see them, in its submission order and, if it wants that too, sorted.
-    fn submitted<'a>(
-        &'a mut self,
-        variant: &Variant,
-        centroids: Option<&CentroidOrder>,
-        lists: ListsRef<'a>,
-        has_zeros: bool,
-    ) -> (ListsRef<'a>, Option<ListsRef<'a>>) {
-        let (seen, sorted) = match (has_zeros, variant.technique.sees_zero_fragments()) {
-            (true, false) => (self.kept.as_ref(), &self.sorted),
-            (true, true) => (lists, &self.sorted_with_zeros),
-            (false, _) => (lists, &self.sorted),
-        };
-        let sorted = variant.wants_sorted().then(|| sorted.as_ref());
-        let submitted = match (variant.order, sorted) {
-            (SubmissionOrder::AsIs, _) => seen,
-            (SubmissionOrder::Sorted, Some(sorted)) => sorted,
-            (order, _) => {
-                self.reorderer.reorder(seen, order, centroids, &mut self.reordered);
-                self.reordered.as_ref()
+/// The lists as `variant` is to see them, in its submission order and, if it wants that too, sorted.
+fn submitted<'a>(
+    variant: &Variant,
+    prepared: &Prepared<'a>,
+    centroids: Option<&CentroidOrder>,
+    reorderer: &mut Reorderer,
+    reordered: &'a mut Lists,
+) -> (ListsRef<'a>, Option<ListsRef<'a>>) {
+    let (seen, sorted) = prepared.seen_by(&*variant.technique);
+    let lists = match (variant.order, sorted) {
+        (SubmissionOrder::AsIs, _) => seen,
+        (SubmissionOrder::Sorted, Some(sorted)) => sorted,
+        (order, _) => {
+            reorderer.reorder(seen, order, centroids, reordered);
+            reordered.as_ref()
+        }
+    };
+    (lists, sorted.filter(|_| variant.wants_sorted()))
+}
+
+/// Below this coverage a weighted sum in f32 may lose more than two ulp, so that a shortcut would show.
+const SHORTCUT_ALPHA: f32 = 1.0 / 1024.0;
+
+fn run_variant(
+    context: &Context<'_>,
+    variant: &Variant,
+    batch: &Batch<'_>,
+    pixels: &mut Vec<u32>,
+    out: &mut [Resolved],
+    tally: &mut VariantTally,
+) {
+    let technique = &*variant.technique;
+    // sums that may have been streamed cannot be cut short either, and a capture is to give their bits
+    let shortcut = context.skip && technique.properties().exact_for_one && technique.blended().is_none();
+    pixels.clear();
+    for (i, out) in out.iter_mut().enumerate() {
+        match batch.lists.count(i) {
+            0 => {}
+            1 if shortcut && batch.lists.row(i).alpha[0] >= SHORTCUT_ALPHA => {
+                *out = single(batch.lists, i, batch.background(i));
+                tally.single_fragment_pixels += 1;
             }
-        };
-        (submitted, sorted)
-    }
-
-    fn run_variant(
-        &mut self,
-        context: &Context<'_>,
-        variant: &Variant,
-        batch: &Batch<'_>,
-        has_zeros: bool,
-        out: &mut [Resolved],
-        tally: &mut VariantTally,
-    ) {
-        let technique = &*variant.technique;
-        let shortcut = context.skip && technique.properties().exact_for_one;
-        let mut pixels = std::mem::take(&mut self.pixels);
-        pixels.clear();
-        let (lists, sorted) = self.submitted(variant, context.centroids, batch.lists, has_zeros);
-        for (i, out) in out.iter_mut().enumerate() {
-            match lists.count(i) {
-                0 => {}
-                // a lone emission without coverage is lost by some techniques, so it is left to them
-                1 if shortcut && lists.row(i).alpha[0] > 0.0 => {
-                    *out = single(lists, i, batch.background(i));
-                    tally.single_fragment_pixels += 1;
-                }
-                #[expect(clippy::cast_possible_truncation, reason = "pixels of a batch")]
-                _ => pixels.push(i as u32),
-            }
+            #[expect(clippy::cast_possible_truncation, reason = "pixels of a batch")]
+            _ => pixels.push(i as u32),
         }
-        let batch = Batch { lists, sorted, ..*batch };
-        technique.resolve_batch(&batch, &pixels, out, &|| (context.stop)());
-        self.pixels = pixels;
     }
+    technique.resolve_batch(batch, pixels, out, &|| (context.stop)());
 }
 
 /// One fragment over the background.

@@ -1,6 +1,7 @@
 //! What a transparency technique is: a function from a pixel's fragment list to a colour, with an entry in
 //! the registry that says what it is called, what it costs and what it promises.
 
+use crate::continuum::sums::Blended;
 use crate::error::Result;
 use crate::fragments::{List, ListsRef};
 use crate::params::{ParamSpec, Params, View};
@@ -115,6 +116,8 @@ pub trait Technique: Send + Sync + 'static {
 
     /// Whether [`Pixel::sorted`] is wanted.
     const NEEDS_SORTED: bool = false;
+    /// Whether [`Pixel::list`] is wanted in submission order; if not, it may come sorted.
+    const NEEDS_ARRIVAL: bool = true;
     /// Whether fragments that neither cover nor emit are shown to the technique too (a published defect that
     /// two techniques reproduce, sheet 0.1).
     const SEES_ZERO_FRAGMENTS: bool = false;
@@ -123,6 +126,11 @@ pub trait Technique: Send + Sync + 'static {
 
     /// The pixel's colour. `pixel.list` holds at least one fragment.
     fn resolve(&self, pixel: &Pixel<'_>, scratch: &mut Self::Scratch) -> Resolved;
+
+    /// The technique as sums over fragments, if it is nothing else; then fragments need not be kept for it.
+    fn blended(&self) -> Option<&dyn Blended> {
+        None
+    }
 
     /// The technique's own transmittance strictly in front of each depth, if it reconstructs one. The exact
     /// function is the product of 1 - alpha over the fragments with a smaller depth.
@@ -184,6 +192,10 @@ impl<'a> Batch<'a> {
 pub trait AnyTechnique: Send + Sync {
     /// See [`Technique::NEEDS_SORTED`].
     fn needs_sorted(&self) -> bool;
+    /// See [`Technique::NEEDS_ARRIVAL`].
+    fn needs_arrival(&self) -> bool;
+    /// See [`Technique::blended`].
+    fn blended(&self) -> Option<&dyn Blended>;
     /// See [`Technique::SEES_ZERO_FRAGMENTS`].
     fn sees_zero_fragments(&self) -> bool;
     /// See [`Technique::COLORED_TRANSMITTANCE`].
@@ -201,6 +213,12 @@ pub trait AnyTechnique: Send + Sync {
 impl<T: Technique> AnyTechnique for T {
     fn needs_sorted(&self) -> bool {
         T::NEEDS_SORTED
+    }
+    fn needs_arrival(&self) -> bool {
+        T::NEEDS_ARRIVAL
+    }
+    fn blended(&self) -> Option<&dyn Blended> {
+        Technique::blended(self)
     }
     fn sees_zero_fragments(&self) -> bool {
         T::SEES_ZERO_FRAGMENTS

@@ -1,6 +1,8 @@
 //! The accumulator of blended techniques: weighted sums and a product, as render targets hold them.
 
+use crate::fragments::List;
 use crate::technique::Resolved;
+use crate::weight::Weighting;
 use glam::{DVec3, Vec3, Vec4};
 
 /// What additive and multiplicative blending leave of a set of fragments (MB13 Listing 3): Σ w (C, a) in f32,
@@ -31,6 +33,11 @@ impl BlendSums {
         self.weighted += weight * Vec3::from(color).extend(alpha);
         self.transmittance *= transmittance;
         self.coverage += (1.0 - self.coverage) * coverage;
+    }
+
+    /// Sums that were kept elsewhere.
+    pub fn from_parts(weighted: Vec4, transmittance: f64, coverage: f64) -> Self {
+        Self { weighted, transmittance, coverage }
     }
 
     /// Σ w C; what overflows f32 counts as its largest number.
@@ -85,6 +92,33 @@ impl BlendSums {
     /// `(1 − R) color + R background`.
     pub fn cover(&self, color: DVec3, background: DVec3) -> Resolved {
         blend(color, self.coverage, self.transmittance, background)
+    }
+}
+
+/// A technique that is nothing but [`BlendSums`] over all fragments, in any order.
+pub trait Blended: Send + Sync {
+    /// The weight of a fragment; all count the same where there is none.
+    fn weighting(&self) -> Option<&Weighting> {
+        None
+    }
+
+    /// The pixel's colour from its sums over `count` fragments.
+    fn finish(&self, sums: &BlendSums, count: usize, background: DVec3) -> Resolved;
+
+    /// The pixel's colour from its fragments.
+    fn blend_list(&self, list: List<'_>, background: DVec3, weights: &mut Vec<f32>) -> Resolved {
+        let mut sums = BlendSums::CLEAR;
+        if let Some(weighting) = self.weighting() {
+            weighting.evaluate(list.depth, list.alpha, weights);
+            for ((&weight, &color), &alpha) in weights.iter().zip(list.color).zip(list.alpha) {
+                sums.add(weight, color, alpha);
+            }
+        } else {
+            for (&color, &alpha) in list.color.iter().zip(list.alpha) {
+                sums.add(1.0, color, alpha);
+            }
+        }
+        self.finish(&sums, list.len(), background)
     }
 }
 

@@ -167,41 +167,9 @@ impl Lists {
     pub fn end_row(&mut self) {
         self.offsets.push(self.depth.len() as i64);
     }
-    /// Makes room for rows of the given `offsets` (from 0), all fragments zero.
-    pub fn reset_to(&mut self, offsets: &[i64]) {
-        let total = usize::try_from(*offsets.last().unwrap_or(&0)).unwrap_or(0);
-        self.offsets.clear();
-        self.offsets.extend_from_slice(offsets);
-        self.depth.resize(total, 0.0);
-        self.color.resize(total, [0.0; 3]);
-        self.alpha.resize(total, 0.0);
-        self.primitive.resize(total, 0);
-    }
-    /// Writes `fragment` at place `i` of the arrays.
-    pub fn set(&mut self, i: usize, fragment: Fragment) {
-        self.depth[i] = fragment.depth;
-        self.color[i] = fragment.color;
-        self.alpha[i] = fragment.alpha;
-        self.primitive[i] = fragment.primitive;
-    }
-    /// Moves the fragments at `range` to `to`, which is not behind them.
-    pub fn move_rows(&mut self, range: std::ops::Range<usize>, to: usize) {
-        self.depth.copy_within(range.clone(), to);
-        self.color.copy_within(range.clone(), to);
-        self.alpha.copy_within(range.clone(), to);
-        self.primitive.copy_within(range, to);
-    }
-    /// Sets where row `i` ends.
-    #[expect(clippy::cast_possible_wrap, reason = "a Vec holds at most isize::MAX bytes")]
-    pub fn set_row_end(&mut self, i: usize, end: usize) {
-        self.offsets[i + 1] = end as i64;
-    }
-    /// Forgets the fragments from place `len` on.
-    pub fn truncate(&mut self, len: usize) {
-        self.depth.truncate(len);
-        self.color.truncate(len);
-        self.alpha.truncate(len);
-        self.primitive.truncate(len);
+    /// So many rows without fragments.
+    pub fn empty_rows(rows: usize) -> Self {
+        Self { offsets: vec![0; rows + 1], ..Self::default() }
     }
     /// A view of all rows.
     pub fn as_ref(&self) -> ListsRef<'_> {

@@ -3,15 +3,18 @@
 use super::convert::value;
 use super::run::AnySource;
 use crate::frame::{Frame, Image};
+use crate::render::DepthImages;
 use numpy::{PyArray1, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
+use std::sync::OnceLock;
 
 /// One technique's image.
 #[pyclass(frozen, name = "Frame", module = "oitlab._oitlab")]
 pub struct PyFrame {
     frame: Frame,
     source: AnySource,
+    depth: OnceLock<DepthImages>,
     color: Py<PyAny>,
     transmittance: Py<PyAny>,
 }
@@ -32,7 +35,19 @@ impl PyFrame {
         let color = image(py, take(&mut frame.color), &[h, w, 3])?.unbind();
         let shape: &[usize] = if frame.transmittance_channels == 3 { &[h, w, 3] } else { &[h, w] };
         let transmittance = image(py, take(&mut frame.transmittance), shape)?.unbind();
-        Ok(Self { frame, source, color, transmittance })
+        Ok(Self { frame, source, depth: OnceLock::new(), color, transmittance })
+    }
+}
+
+impl PyFrame {
+    /// Depth images of the source, rendered when they are first asked for.
+    fn depth(&self, py: Python<'_>) -> PyResult<&DepthImages> {
+        if self.depth.get().is_none() {
+            let images = self.source.depth_images(py)?;
+            // another thread may have been faster, with the same images
+            _ = self.depth.set(images);
+        }
+        Ok(self.depth.get().unwrap_or_else(|| unreachable!("just set")))
     }
 }
 
@@ -65,12 +80,12 @@ impl PyFrame {
     #[getter]
     fn first_depth<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         let shape = [self.frame.height as usize, self.frame.width as usize];
-        Ok(PyArray1::from_slice(py, &self.frame.first_depth).reshape(shape)?.into_any())
+        Ok(PyArray1::from_slice(py, &self.depth(py)?.first_depth).reshape(shape)?.into_any())
     }
     #[getter]
     fn fragment_count<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         let shape = [self.frame.height as usize, self.frame.width as usize];
-        Ok(PyArray1::from_slice(py, &self.frame.fragment_count).reshape(shape)?.into_any())
+        Ok(PyArray1::from_slice(py, &self.depth(py)?.fragment_count).reshape(shape)?.into_any())
     }
     #[getter]
     fn stats<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {

@@ -35,6 +35,7 @@ impl From<crate::Error> for PyErr {
     fn from(error: crate::Error) -> Self {
         match error {
             crate::Error::Cancelled => pyo3::exceptions::PyKeyboardInterrupt::new_err(error.to_string()),
+            crate::Error::Memory(_) => pyo3::exceptions::PyMemoryError::new_err(error.to_string()),
             error => pyo3::exceptions::PyValueError::new_err(error.to_string()),
         }
     }

@@ -51,6 +51,11 @@ impl AnySource {
             Self::Fragments(fragments) => Self::Fragments(Arc::clone(fragments)),
         }
     }
+    /// Depth of the first fragment and number of fragments, per pixel.
+    pub fn depth_images(&self, py: Python<'_>) -> PyResult<core::DepthImages> {
+        let shared = self.share();
+        interruptible(py, move |stop| core::depth_images(shared.as_source(), &Options::default(), stop))
+    }
     /// The content hash in hexadecimal.
     pub fn content_hash(&self) -> String {
         match self {
@@ -65,41 +70,40 @@ impl AnySource {
 /// How often the interpreter is asked for pending signals.
 const SIGNAL_INTERVAL: Duration = Duration::from_millis(20);
 
-/// Runs `work` on another thread, detached from the interpreter, and stops it on a signal such as Ctrl-C.
-fn interruptible<T: Send>(
+/// Runs `work` on another thread, detached from the interpreter. On a signal such as Ctrl-C it is told to stop
+/// and left to wind down by itself, so that the interpreter has control again at once.
+fn interruptible<T: Send + 'static>(
     py: Python<'_>,
-    work: impl FnOnce(&(dyn Fn() -> bool + Sync)) -> Result<T> + Send,
+    work: impl FnOnce(&(dyn Fn() -> bool + Sync)) -> Result<T> + Send + 'static,
 ) -> PyResult<T> {
-    let stop = AtomicBool::new(false);
-    py.detach(|| {
-        std::thread::scope(|scope| {
-            let (sender, receiver) = channel();
-            let stopped = &stop;
-            scope.spawn(move || {
-                let result = catch_unwind(AssertUnwindSafe(|| work(&|| stopped.load(Ordering::Relaxed))));
-                // nobody listens any more only if the listener panicked, and then this result is moot
-                _ = sender.send(result);
-            });
-            loop {
-                match receiver.recv_timeout(SIGNAL_INTERVAL) {
-                    Ok(Ok(result)) => return result.map_err(PyErr::from),
-                    Ok(Err(_)) | Err(RecvTimeoutError::Disconnected) => {
-                        let message = "a bug in oitlab's core: a worker panicked (its message is on stderr)";
-                        return Err(PyRuntimeError::new_err(message));
-                    }
-                    Err(RecvTimeoutError::Timeout) => {
-                        #[expect(
-                            clippy::redundant_closure_for_method_calls,
-                            reason = "the method itself is not general enough in its lifetime"
-                        )]
-                        if let Err(signal) = Python::attach(|py| py.check_signals()) {
-                            stop.store(true, Ordering::Relaxed);
-                            return Err(signal);
-                        }
+    let stop = Arc::new(AtomicBool::new(false));
+    let stopped = Arc::clone(&stop);
+    let (sender, receiver) = channel();
+    std::thread::spawn(move || {
+        let result = catch_unwind(AssertUnwindSafe(|| work(&|| stopped.load(Ordering::Relaxed))));
+        // nobody listens any more after a signal
+        _ = sender.send(result);
+    });
+    py.detach(move || {
+        loop {
+            match receiver.recv_timeout(SIGNAL_INTERVAL) {
+                Ok(Ok(result)) => return result.map_err(PyErr::from),
+                Ok(Err(_)) | Err(RecvTimeoutError::Disconnected) => {
+                    let message = "a bug in oitlab's core: a worker panicked (its message is on stderr)";
+                    return Err(PyRuntimeError::new_err(message));
+                }
+                Err(RecvTimeoutError::Timeout) => {
+                    #[expect(
+                        clippy::redundant_closure_for_method_calls,
+                        reason = "the method itself is not general enough in its lifetime"
+                    )]
+                    if let Err(signal) = Python::attach(|py| py.check_signals()) {
+                        stop.store(true, Ordering::Relaxed);
+                        return Err(signal);
                     }
                 }
             }
-        })
+        }
     })
 }
 
@@ -125,9 +129,10 @@ pub fn render<'py>(
     let requests: Vec<Request> =
         variants.into_iter().map(|(id, params)| Ok((id, inputs(&params)?))).collect::<PyResult<_>>()?;
     let options = options(threads, skip)?;
-    let frames = interruptible(py, |stop| {
+    let shared = source.share();
+    let frames = interruptible(py, move |stop| {
         let run = if float64 { core::render::<f64> } else { core::render::<f32> };
-        run(source.as_source(), &requests, &options, stop)
+        run(shared.as_source(), &requests, &options, stop)
     })?;
     frames.into_iter().map(|frame| PyFrame::new(py, frame, source.share())).collect()
 }
@@ -137,7 +142,7 @@ pub fn render<'py>(
 pub fn capture(py: Python<'_>, scene: &Bound<'_, PyScene>, threads: Option<i64>) -> PyResult<PyFragments> {
     let options = options(threads, true)?;
     let scene = Arc::clone(&scene.get().0);
-    let fragments = interruptible(py, |stop| core::capture(&scene, &options, stop))?;
+    let fragments = interruptible(py, move |stop| core::capture(&scene, &options, stop))?;
     Ok(PyFragments(Arc::new(fragments)))
 }
 
@@ -179,7 +184,7 @@ pub fn order_sensitivity<'py>(
     let fragments = Arc::clone(&fragments.get().0);
     let shape = [fragments.height as usize, fragments.width as usize];
     let shuffles = usize::try_from(n).unwrap_or(0);
-    let variance = interruptible(py, |stop| {
+    let variance = interruptible(py, move |stop| {
         core::order_sensitivity(&fragments, &request, shuffles, seed, &options, stop)
     })?;
     Ok(PyArray1::from_vec(py, variance).reshape(shape)?.into_any())

@@ -31,6 +31,16 @@ impl Rect {
     pub fn height(&self) -> usize {
         (self.y1 - self.y0) as usize
     }
+    /// The rectangle cut in two across its longer side.
+    pub fn halves(&self) -> [Self; 2] {
+        if self.x1 - self.x0 >= self.y1 - self.y0 {
+            let x = i32::midpoint(self.x0, self.x1);
+            [Self { x1: x, ..*self }, Self { x0: x, ..*self }]
+        } else {
+            let y = i32::midpoint(self.y0, self.y1);
+            [Self { y1: y, ..*self }, Self { y0: y, ..*self }]
+        }
+    }
     /// Pixels.
     pub fn area(&self) -> usize {
         self.width() * self.height()

@@ -15,10 +15,56 @@ pub struct Hit {
     pub weights: [f64; 3],
 }
 
+/// Pixels that are evaluated together.
+pub const LANES: usize = 8;
+/// The same as a distance between pixels.
+pub const LANES_I32: i32 = 8;
+
 /// What can be evaluated at a pixel centre inside the primitive.
-pub trait Interpolate {
+#[derive(Debug, Clone, Copy)]
+pub enum Surface<'a> {
+    /// A triangle that needed no clipping.
+    Plane(Plane),
+    /// A clipped one.
+    Ray(Ray<'a>),
+}
+
+impl Surface<'_> {
     /// Depth and weights at pixel (x, y).
-    fn at(&self, x: i32, y: i32) -> Hit;
+    #[inline]
+    pub fn at(&self, x: i32, y: i32) -> Hit {
+        match self {
+            Self::Plane(plane) => plane.at(x, y),
+            Self::Ray(ray) => ray.at(x, y),
+        }
+    }
+
+    /// The depth of every pixel, if they all have the same.
+    pub fn constant_depth(&self) -> Option<f32> {
+        let (lo, hi) = match self {
+            Self::Plane(plane) => plane.range,
+            Self::Ray(ray) => ray.range,
+        };
+        #[expect(clippy::cast_possible_truncation, reason = "fragments store depth as f32")]
+        (lo == hi).then_some(lo as f32)
+    }
+
+    /// The depths of [`LANES`] pixels from (x, y) to the right: the bits of [`Surface::at`] inside the
+    /// primitive, something finite outside.
+    #[inline(always)]
+    #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+    pub fn depths(&self, x: i32, y: i32) -> [f32; LANES] {
+        match self {
+            Self::Plane(plane) => plane.depths(x, y),
+            Self::Ray(ray) => {
+                let mut x = x - 1;
+                [(); LANES].map(|()| {
+                    x += 1;
+                    ray.at(x, y).depth
+                })
+            }
+        }
+    }
 }
 
 /// A triangle that needed no clipping: edge functions of its snapped corners, exact in f64.
@@ -52,7 +98,27 @@ impl Plane {
     }
 }
 
-impl Interpolate for Plane {
+impl Plane {
+    #[inline(always)]
+    #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+    #[expect(clippy::cast_possible_truncation, reason = "fragments store depth as f32")]
+    fn depths(&self, x: i32, y: i32) -> [f32; LANES] {
+        let dx = f64::from(x * SUBPIXELS + CENTER - self.origin.0);
+        let dy = f64::from(y * SUBPIXELS + CENTER - self.origin.1);
+        let [v0, v1, v2] = self.values;
+        let mut depths = [0.0; LANES];
+        for lane in 0..LANES {
+            let dx = dx + STEPS[lane];
+            let l1 = dx * self.to_2.1 - dy * self.to_2.0;
+            let l2 = dy * self.to_1.0 - dx * self.to_1.1;
+            let l0 = self.area - l1 - l2;
+            let sum = l0 * v0 + l1 * v1 + l2 * v2;
+            let depth = if self.perspective { self.area / sum } else { sum / self.area };
+            depths[lane] = depth.max(self.range.0).min(self.range.1) as f32;
+        }
+        depths
+    }
+
     #[inline]
     #[expect(clippy::cast_possible_truncation, reason = "fragments store depth as f32")]
     fn at(&self, x: i32, y: i32) -> Hit {
@@ -69,9 +135,20 @@ impl Interpolate for Plane {
         } else {
             (sum / self.area, [l0 / self.area, l1 / self.area, l2 / self.area])
         };
-        Hit { depth: depth.clamp(self.range.0, self.range.1) as f32, weights }
+        Hit { depth: depth.max(self.range.0).min(self.range.1) as f32, weights }
     }
 }
+
+/// Sub-pixels from a block's first pixel to each of its pixels.
+const STEPS: [f64; LANES] = {
+    let mut steps = [0.0; LANES];
+    let mut lane = 1;
+    while lane < LANES {
+        steps[lane] = steps[lane - 1] + SUBPIXELS as f64;
+        lane += 1;
+    }
+    steps
+};
 
 /// A clipped triangle: the pixel's ray against the triangle in view space.
 #[derive(Debug, Clone, Copy)]
@@ -91,7 +168,7 @@ impl<'a> Ray<'a> {
     }
 }
 
-impl Interpolate for Ray<'_> {
+impl Ray<'_> {
     #[expect(clippy::cast_possible_truncation, reason = "fragments store depth as f32")]
     #[expect(clippy::cast_sign_loss, reason = "pixels lie in the image")]
     fn at(&self, x: i32, y: i32) -> Hit {

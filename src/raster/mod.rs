@@ -3,14 +3,17 @@
 mod clip;
 mod cover;
 mod interpolate;
+mod lists;
 mod project;
 mod setup;
 mod shade;
 mod tile;
 
 pub use cover::Rect;
-pub use shade::AMBIENT;
-pub use tile::Tile;
+pub use interpolate::LANES;
+pub use lists::TileLists;
+pub use shade::{AMBIENT, Paint};
+pub use tile::{Block, Cover, Sink, Tile, lanes, pixel_at};
 
 use crate::params::View;
 use crate::scene::Scene;
@@ -63,37 +66,35 @@ impl<'a> Raster<'a> {
     }
 }
 
-/// Near, far, and the depth range of the transparent geometry: its vertices' view depths, clipped to near and
-/// far (sheet 0.6); the whole of near to far where there is none.
-pub fn view(scene: &Scene) -> View {
-    let camera = scene.camera();
-    let (near, far) = (camera.near(), camera.far());
-    let empty = (f64::INFINITY, f64::NEG_INFINITY);
-    let union = |a: (f64, f64), b: (f64, f64)| (a.0.min(b.0), a.1.max(b.1));
-    let (lo, hi) = scene
-        .meshes()
-        .iter()
-        .filter(|mesh| mesh.material().is_transparent())
-        .map(|mesh| {
-            let depth = |v: u32| camera.to_view(DVec3::from(mesh.vertices()[v as usize])).z;
-            let face =
-                |face: &[u32; 3]| face.iter().map(|&v| depth(v)).fold(empty, |range, z| union(range, (z, z)));
-            mesh.faces().par_iter().with_min_len(4096).map(face).reduce(|| empty, union)
-        })
-        .fold(empty, union);
-    let depth_range = if lo <= hi { (lo.clamp(near, far), hi.clamp(near, far)) } else { (near, far) };
-    View { near, far, depth_range }
+impl Raster<'_> {
+    /// Near, far, and the depth range of the transparent geometry: its vertices' view depths, clipped to near
+    /// and far (sheet 0.6); the whole of near to far where there is none.
+    pub fn view(&self) -> View {
+        let view = provisional_view(self.scene);
+        let empty = (f64::INFINITY, f64::NEG_INFINITY);
+        let union = |a: (f64, f64), b: (f64, f64)| (a.0.min(b.0), a.1.max(b.1));
+        let (lo, hi) = self.transparent.iter().map(|chunk| chunk.depth_range).fold(empty, union);
+        let clip = |z: f64| z.clamp(view.near, view.far);
+        if lo <= hi { View { depth_range: (clip(lo), clip(hi)), ..view } } else { view }
+    }
 }
 
-/// View depth of every primitive's centroid, by primitive id.
-pub fn centroid_depths(scene: &Scene) -> Vec<f64> {
+/// What is known of the view before the geometry has been looked at: the depth range may turn out smaller.
+pub fn provisional_view(scene: &Scene) -> View {
+    let (near, far) = (scene.camera().near(), scene.camera().far());
+    View { near, far, depth_range: (near, far) }
+}
+
+/// View depth of every primitive's centroid, by primitive id; incomplete when `stop` says so on the way.
+pub fn centroid_depths(scene: &Scene, stop: &(dyn Fn() -> bool + Sync)) -> Vec<f64> {
+    const RUN: usize = 16_384;
     let camera = scene.camera();
-    scene
-        .meshes()
-        .iter()
-        .flat_map(|mesh| {
-            let depth = |v: u32| camera.to_view(DVec3::from(mesh.vertices()[v as usize])).z;
-            mesh.faces().iter().map(move |f| (depth(f[0]) + depth(f[1]) + depth(f[2])) / 3.0)
-        })
-        .collect()
+    let mut depths = Vec::new();
+    for mesh in scene.meshes() {
+        let depth = |v: u32| camera.to_view(DVec3::from(mesh.vertices()[v as usize])).z;
+        let centroid = |f: &[u32; 3]| (depth(f[0]) + depth(f[1]) + depth(f[2])) / 3.0;
+        let run = |run: &[[u32; 3]]| if stop() { vec![] } else { run.iter().map(centroid).collect() };
+        depths.par_extend(mesh.faces().par_chunks(RUN).flat_map_iter(run));
+    }
+    depths
 }

@@ -4,7 +4,7 @@
 use super::clip::clip;
 use super::cover::{Rect, centers, doubled_area};
 use super::project::{Projector, ScreenVertex};
-use super::shade::light;
+use super::shade::{Paint, Premultiplied, light};
 use crate::scene::{Mesh, Scene, Shading};
 use glam::DVec3;
 use rayon::prelude::*;
@@ -16,6 +16,8 @@ pub struct Triangle {
     pub face: u32,
     pub light: f32,
     pub vertices: [ScreenVertex; 3],
+    /// The colour, where there is but one: looked up here, where faces come in order.
+    pub flat: Option<Premultiplied>,
 }
 
 /// What clipping left of a triangle.
@@ -122,6 +124,8 @@ pub struct Chunk {
     pub mesh: usize,
     /// Primitive id of the mesh's first face.
     pub first_primitive: u32,
+    /// Smallest and largest view depth of the faces' vertices, seen or not.
+    pub depth_range: (f64, f64),
     triangles: Vec<Triangle>,
     polygons: Vec<Polygon>,
     /// Entries of tile `t` are `entries[starts[t]..starts[t + 1]]`.
@@ -166,7 +170,8 @@ pub fn set_up(
         .iter()
         .map(|mesh| {
             let project = |v: &[f64; 3]| projector.project(projector.view_point(*v));
-            mesh.vertices().par_iter().with_min_len(4096).map(project).collect()
+            let run = |run: &[[f64; 3]]| if stop() { vec![] } else { run.iter().map(project).collect() };
+            mesh.vertices().par_chunks(CHUNK_FACES).flat_map_iter(run).collect()
         })
         .collect();
     let mut jobs = (Vec::new(), Vec::new());
@@ -184,6 +189,9 @@ pub fn set_up(
         #[expect(clippy::cast_possible_truncation, reason = "Scene::new limits the sum of all faces")]
         (first_primitive += count as u32);
     }
+    if stop() {
+        return (vec![], vec![]); // some vertices may not have been projected
+    }
     let run = |jobs: Vec<Job<'_>>| {
         let chunk = |job: &Job<'_>| (!stop()).then(|| job.run(projector, tiling));
         jobs.par_iter().filter_map(chunk).collect()
@@ -196,6 +204,7 @@ impl Job<'_> {
         let mut chunk = Chunk {
             mesh: self.index,
             first_primitive: self.first_primitive,
+            depth_range: (f64::INFINITY, f64::NEG_INFINITY),
             triangles: Vec::with_capacity(self.faces.len()),
             polygons: Vec::new(),
             starts: Vec::new(),
@@ -207,7 +216,7 @@ impl Job<'_> {
                 touched.push((entry, tiles));
             }
         }
-        chunk.bin(&touched, tiling);
+        chunk.bin(&mut touched, tiling);
         chunk
     }
 
@@ -221,6 +230,10 @@ impl Job<'_> {
         chunk: &mut Chunk,
     ) -> Option<(u32, TileRange)> {
         let vertices = self.mesh.faces()[face].map(|v| self.screen[v as usize]);
+        for v in &vertices {
+            let (lo, hi) = chunk.depth_range;
+            chunk.depth_range = (lo.min(v.z), hi.max(v.z));
+        }
         if vertices.iter().any(ScreenVertex::is_outside) {
             let (polygon, tiles) = self.clipped(face, projector, tiling)?;
             chunk.polygons.push(polygon);
@@ -235,7 +248,11 @@ impl Job<'_> {
                 light(shading, self.corners(face, projector), projector.is_perspective())
             }
         };
-        chunk.triangles.push(Triangle { face: face as u32, light, vertices });
+        let flat = match Paint::new(self.mesh, face, light) {
+            Paint::Flat(color) => Some(color),
+            Paint::Varying(_) => None,
+        };
+        chunk.triangles.push(Triangle { face: face as u32, light, vertices, flat });
         Some(((chunk.triangles.len() - 1) as u32, tiles))
     }
 
@@ -265,28 +282,56 @@ impl Job<'_> {
 }
 
 impl Chunk {
-    /// Counting sort of the entries by tile.
-    fn bin(&mut self, touched: &[(u32, TileRange)], tiling: &Tiling) {
+    /// Counting sort of the entries by tile. Triangles move to where the first tile they touch will look for
+    /// them: in the order of the faces a tile's triangles would lie all over memory.
+    fn bin(&mut self, touched: &mut [(u32, TileRange)], tiling: &Tiling) {
         if touched.is_empty() {
             return;
         }
         let columns = tiling.columns();
-        self.starts = vec![0; columns * tiling.rows() + 1];
-        for (_, tiles) in touched {
-            tiles.tiles(columns).for_each(|tile| self.starts[tile + 1] += 1);
+        let tiles = columns * tiling.rows();
+        self.move_triangles(touched, columns, tiles);
+        self.starts = vec![0; tiles + 1];
+        for (_, range) in touched.iter() {
+            range.tiles(columns).for_each(|tile| self.starts[tile + 1] += 1);
         }
-        let mut sum = 0;
-        for start in &mut self.starts {
-            sum += *start;
-            *start = sum;
-        }
-        self.entries = vec![0; sum as usize];
+        let total = accumulate(&mut self.starts);
+        self.entries = vec![0; total as usize];
         let mut cursor = self.starts.clone();
-        for (entry, tiles) in touched {
-            for tile in tiles.tiles(columns) {
+        for (entry, range) in touched.iter() {
+            for tile in range.tiles(columns) {
                 self.entries[cursor[tile] as usize] = *entry;
                 cursor[tile] += 1;
             }
         }
     }
+
+    fn move_triangles(&mut self, touched: &mut [(u32, TileRange)], columns: usize, tiles: usize) {
+        let first_tile = |range: &TileRange| usize::from(range.y0) * columns + usize::from(range.x0);
+        let is_triangle = |entry: u32| entry & POLYGON_BIT == 0;
+        let mut places = vec![0; tiles + 1];
+        for (_, range) in touched.iter().filter(|(entry, _)| is_triangle(*entry)) {
+            places[first_tile(range) + 1] += 1;
+        }
+        accumulate(&mut places);
+        let Some(&any) = self.triangles.first() else { return };
+        let mut moved = vec![any; self.triangles.len()];
+        for (entry, range) in touched.iter_mut().filter(|(entry, _)| is_triangle(*entry)) {
+            let place = &mut places[first_tile(range)];
+            moved[*place as usize] = self.triangles[*entry as usize];
+            *entry = *place;
+            *place += 1;
+        }
+        self.triangles = moved;
+    }
+}
+
+/// Turns counts, each one place late, into starts; their sum.
+fn accumulate(counts: &mut [u32]) -> u32 {
+    let mut sum = 0;
+    for count in counts {
+        sum += *count;
+        *count = sum;
+    }
+    sum
 }

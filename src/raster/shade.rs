@@ -22,11 +22,19 @@ pub fn light(shading: Shading, view: [DVec3; 3], perspective: bool) -> f32 {
 /// Premultiplied linear colour and coverage.
 pub type Premultiplied = [f32; 4];
 
-/// A primitive's colours, ready for any pixel of it.
+/// A primitive's colours.
+#[derive(Debug, Clone, Copy)]
+pub enum Paint {
+    /// The same at every pixel.
+    Flat(Premultiplied),
+    /// Different ones, or some that a mask cuts out.
+    Varying(Shade),
+}
+
+/// Colours that vary over a primitive.
 #[derive(Debug, Clone, Copy)]
 pub struct Shade {
     corners: [Premultiplied; 3],
-    flat: bool,
     mask: Option<Mask>,
 }
 
@@ -36,7 +44,7 @@ struct Mask {
     cutoff: f32,
 }
 
-impl Shade {
+impl Paint {
     /// The colours of one face of `mesh`, `light` times as bright as its material.
     pub fn new(mesh: &Mesh, face: usize, light: f32) -> Self {
         let material = mesh.material();
@@ -54,7 +62,36 @@ impl Shade {
         let mask = material
             .is_masked()
             .then(|| Mask { alphas: straight.map(|c| c[3]), cutoff: material.alpha_cutoff });
-        Self { corners, flat: corners[0] == corners[1] && corners[1] == corners[2], mask }
+        if mask.is_none() && corners[0] == corners[1] && corners[1] == corners[2] {
+            Self::Flat(corners[0])
+        } else {
+            Self::Varying(Shade { corners, mask })
+        }
+    }
+
+    /// Whether the mask lets the pixel through.
+    #[inline]
+    pub fn passes(&self, hit: &Hit) -> bool {
+        match self {
+            Self::Flat(_) => true,
+            Self::Varying(shade) => shade.passes(hit),
+        }
+    }
+
+    /// Colour and coverage at the pixel.
+    #[inline]
+    pub fn at(&self, hit: &Hit) -> Premultiplied {
+        match self {
+            Self::Flat(color) => *color,
+            Self::Varying(shade) => shade.at(hit),
+        }
+    }
+}
+
+impl Shade {
+    /// Whether pixels have to pass a mask.
+    pub fn is_masked(&self) -> bool {
+        self.mask.is_some()
     }
 
     /// Whether the mask lets the pixel through.
@@ -66,9 +103,6 @@ impl Shade {
     /// Colour and coverage at the pixel.
     #[inline]
     pub fn at(&self, hit: &Hit) -> Premultiplied {
-        if self.flat {
-            return self.corners[0];
-        }
         std::array::from_fn(|channel| interpolate(self.corners.map(|c| c[channel]), hit))
     }
 }
@@ -88,9 +122,9 @@ mod tests {
     use super::*;
     use crate::scene::{AlphaMode, Colors, Material};
 
-    fn shade(colors: Colors, material: Material) -> Shade {
+    fn shade(colors: Colors, material: Material) -> Paint {
         let vertices = vec![[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
-        Shade::new(&Mesh::new(vertices, vec![[0, 1, 2]], colors, material).unwrap(), 0, 0.5)
+        Paint::new(&Mesh::new(vertices, vec![[0, 1, 2]], colors, material).unwrap(), 0, 0.5)
     }
 
     const MIDDLE: Hit = Hit { depth: 1.0, weights: [0.5, 0.25, 0.25] };

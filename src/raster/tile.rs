@@ -1,29 +1,57 @@
-//! One tile: the opaque surfaces first, then the transparent fragments in front of them, as lists in
-//! submission order.
+//! One tile: the opaque surfaces first, then the transparent ones in submission order, handed over as blocks of
+//! pixels.
 
 use super::Raster;
 use super::cover::{Rect, spans};
-use super::interpolate::{Hit, Interpolate, Plane, Ray};
+use super::interpolate::{Hit, LANES, LANES_I32, Plane, Ray, Surface};
 use super::setup::{Chunk, Primitive};
-use super::shade::Shade;
-use crate::fragments::{Fragment, Lists};
+use super::shade::{Paint, Shade};
 use crate::order::sort_key;
+use multiversion::multiversion;
+
+/// Up to [`LANES`] neighbouring pixels of a row that one primitive covers.
+#[derive(Debug, Clone, Copy)]
+pub struct Block {
+    /// Index of the first pixel in the tile.
+    pub first: u32,
+    /// One bit per pixel that is covered and not hidden.
+    pub mask: u8,
+}
+
+/// The visible pixels of one transparent primitive in a tile.
+#[derive(Debug, Clone, Copy)]
+pub struct Cover<'a, 'r> {
+    /// Primitive id.
+    pub primitive: u32,
+    /// Where it is.
+    pub blocks: &'a [Block],
+    /// Depths per block. Outside the mask they mean nothing, but are finite.
+    pub depth: &'a [[f32; LANES]],
+    /// The depth everywhere, if it is constant.
+    pub constant_depth: Option<f32>,
+    /// Geometry, for what is shaded later.
+    pub surface: &'a Surface<'r>,
+    /// Colours, for what is shaded later.
+    pub paint: &'a Paint,
+}
+
+/// What becomes of a tile's transparent fragments.
+pub trait Sink<'r> {
+    /// Takes a primitive's pixels; false to be given no more.
+    fn take(&mut self, cover: &Cover<'_, 'r>) -> bool;
+}
 
 /// A tile being rasterised; keep it and its memory is reused.
 #[derive(Debug)]
 pub struct Tile {
     rect: Rect,
-    index: usize,
-    /// (depth, primitive) of the opaque surface at each pixel.
+    /// (depth, primitive) of the opaque surface at each pixel; empty while there is none.
     opaque: Vec<u64>,
     /// What is behind the transparent fragments of each pixel.
     background: Vec<[f32; 3]>,
-    /// Fragments per pixel before the depth test.
-    counts: Vec<u32>,
-    /// Where each pixel's next fragment goes.
-    cursors: Vec<usize>,
-    offsets: Vec<i64>,
     occluded: u64,
+    blocks: Vec<Block>,
+    depth: Vec<[f32; LANES]>,
 }
 
 /// The opaque key of a pixel without an opaque surface.
@@ -33,44 +61,51 @@ impl Default for Tile {
     fn default() -> Self {
         Self {
             rect: Rect { x0: 0, y0: 0, x1: 0, y1: 0 },
-            index: 0,
             opaque: Vec::new(),
             background: Vec::new(),
-            counts: Vec::new(),
-            cursors: Vec::new(),
-            offsets: Vec::new(),
             occluded: 0,
+            blocks: Vec::new(),
+            depth: Vec::new(),
         }
     }
 }
 
 impl Tile {
-    /// Draws the opaque surfaces of a tile and counts its transparent fragments. False when stopped.
-    pub fn begin(&mut self, raster: &Raster<'_>, column: usize, row: usize, stop: &dyn Fn() -> bool) -> bool {
-        self.rect = raster.tiling.rect(column, row);
-        self.index = row * raster.tiling.columns() + column;
+    /// Draws the opaque surfaces of `rect`, a part of the given tile. False when stopped.
+    pub fn begin(
+        &mut self,
+        raster: &Raster<'_>,
+        (column, row): (usize, usize),
+        rect: Rect,
+        stop: &dyn Fn() -> bool,
+    ) -> bool {
+        self.rect = rect;
         self.occluded = 0;
-        let pixels = self.rect.area();
         self.opaque.clear();
-        self.opaque.resize(pixels, NOTHING_OPAQUE);
         self.background.clear();
-        self.background.resize(pixels, raster.scene.background());
-        self.counts.clear();
-        self.counts.resize(pixels, 0);
-        let drawn = for_each_primitive(&raster.opaque, self.index, stop, |chunk, primitive| {
-            self.draw_opaque(raster, chunk, primitive);
-        });
-        drawn
-            && for_each_primitive(&raster.transparent, self.index, stop, |_, primitive| {
-                let (rect, counts) = (self.rect, &mut self.counts);
-                primitive_spans(primitive, &rect, |y, x0, x1| {
-                    let first = index_in(&rect, x0, y);
-                    counts[first..first + span_length(x0, x1)].iter_mut().for_each(|n| *n += 1);
-                });
-            })
+        self.background.resize(rect.area(), raster.scene.background());
+        for_each_primitive(raster, &raster.opaque, (column, row), stop, |chunk, primitive| {
+            self.opaque.resize(rect.area(), NOTHING_OPAQUE);
+            let (id, surface, paint) = raster.primitive(chunk, primitive);
+            primitive_spans(primitive, &rect, |y, x0, x1| {
+                for x in x0..x1 {
+                    self.draw_opaque(index_in(&rect, x, y), &surface.at(x, y), id, &paint);
+                }
+            });
+            true
+        })
     }
 
-    /// The tile's pixels.
+    fn draw_opaque(&mut self, i: usize, hit: &Hit, primitive: u32, paint: &Paint) {
+        let key = sort_key(hit.depth, primitive);
+        if key < self.opaque[i] && paint.passes(hit) {
+            let [r, g, b, _] = paint.at(hit);
+            self.opaque[i] = key;
+            self.background[i] = [r, g, b];
+        }
+    }
+
+    /// The pixels.
     pub fn rect(&self) -> Rect {
         self.rect
     }
@@ -78,96 +113,110 @@ impl Tile {
     pub fn background(&self) -> &[[f32; 3]] {
         &self.background
     }
-    /// Fragments per pixel, before the depth test.
-    pub fn counts(&self) -> &[u32] {
-        &self.counts
-    }
-    /// Fragments that [`Tile::fill`] found hidden behind opaque surfaces so far.
+    /// Transparent fragments that were found hidden behind opaque surfaces.
     pub fn occluded(&self) -> u64 {
         self.occluded
     }
 
-    fn draw_opaque(&mut self, raster: &Raster<'_>, chunk: &Chunk, primitive: Primitive<'_>) {
-        let rect = self.rect;
-        raster.visit(chunk, primitive, &rect, |x, y, hit, id, shade| {
-            let i = index_in(&rect, x, y);
-            let key = sort_key(hit.depth, id);
-            if key < self.opaque[i] && shade.passes(hit) {
-                let [r, g, b, _] = shade.at(hit);
-                self.opaque[i] = key;
-                self.background[i] = [r, g, b];
+    /// Hands the transparent primitives to `sink` in submission order, those of their pixels left out that lie
+    /// behind an opaque surface or are masked out. False when stopped, by `stop` or by the sink.
+    pub fn transparent<'r>(
+        &mut self,
+        raster: &'r Raster<'_>,
+        tile: (usize, usize),
+        sink: &mut impl Sink<'r>,
+        stop: &dyn Fn() -> bool,
+    ) -> bool {
+        for_each_primitive(raster, &raster.transparent, tile, stop, |chunk, primitive| {
+            self.cover(primitive);
+            if self.blocks.is_empty() {
+                return true;
+            }
+            let (id, surface, paint) = raster.primitive(chunk, primitive);
+            let constant_depth = surface.constant_depth();
+            self.depth.clear();
+            match constant_depth {
+                Some(depth) => self.depth.resize(self.blocks.len(), [depth; LANES]),
+                None => depths(&surface, &self.rect, &self.blocks, &mut self.depth),
+            }
+            if !self.opaque.is_empty() {
+                self.hide();
+            }
+            if let Paint::Varying(shade) = &paint
+                && shade.is_masked()
+            {
+                self.cut_out(&surface, shade);
+            }
+            let (blocks, depth) = (&self.blocks[..], &self.depth[..]);
+            sink.take(&Cover {
+                primitive: id,
+                blocks,
+                depth,
+                constant_depth,
+                surface: &surface,
+                paint: &paint,
+            })
+        })
+    }
+
+    /// Cuts the primitive's spans into blocks.
+    fn cover(&mut self, primitive: Primitive<'_>) {
+        let (rect, blocks) = (self.rect, &mut self.blocks);
+        blocks.clear();
+        primitive_spans(primitive, &rect, |y, x0, x1| {
+            let mut x = x0;
+            while x < x1 {
+                let left = x1 - x;
+                let mask = if left < LANES_I32 { (1 << left) - 1 } else { !0 };
+                #[expect(clippy::cast_possible_truncation, reason = "pixels of a tile")]
+                blocks.push(Block { first: index_in(&rect, x, y) as u32, mask });
+                x += LANES_I32;
             }
         });
     }
 
-    /// Writes the transparent fragments of pixels `first..last` of the tile into `lists`, those behind an
-    /// opaque surface or masked out left out. False when stopped.
-    pub fn fill(
-        &mut self,
-        raster: &Raster<'_>,
-        first: usize,
-        last: usize,
-        lists: &mut Lists,
-        stop: &dyn Fn() -> bool,
-    ) -> bool {
-        self.reserve(first, last, lists);
-        let (rect, index) = (self.rect, self.index);
-        let rows = row_range(&rect, first, last);
-        let (opaque, cursors, occluded) = (&self.opaque, &mut self.cursors, &mut self.occluded);
-        let finished = for_each_primitive(&raster.transparent, index, stop, |chunk, primitive| {
-            raster.visit(chunk, primitive, &rows, |x, y, hit, primitive, shade| {
-                let i = index_in(&rect, x, y);
-                if !(first..last).contains(&i) {
-                    return;
+    /// Takes the pixels behind opaque surfaces out of the blocks.
+    fn hide(&mut self) {
+        for (block, depths) in self.blocks.iter_mut().zip(&self.depth) {
+            for (lane, depth) in lanes(block.mask).map(|lane| (lane, depths[lane])) {
+                if depth > opaque_depth(self.opaque[block.first as usize + lane]) {
+                    block.mask &= !(1 << lane);
+                    self.occluded += 1;
                 }
-                if hit.depth > opaque_depth(opaque[i]) {
-                    *occluded += 1;
-                    return;
-                }
-                if !shade.passes(hit) {
-                    return;
-                }
-                let [r, g, b, alpha] = shade.at(hit);
-                let fragment = Fragment { depth: hit.depth, color: [r, g, b], alpha, primitive };
-                lists.set(cursors[i - first], fragment);
-                cursors[i - first] += 1;
-            });
-        });
-        self.close_gaps(lists);
-        finished
+            }
+        }
     }
 
-    /// Makes room for as many fragments as were counted.
-    #[expect(clippy::cast_sign_loss, clippy::cast_possible_truncation, reason = "offsets count fragments")]
-    fn reserve(&mut self, first: usize, last: usize, lists: &mut Lists) {
-        self.offsets.clear();
-        self.offsets.push(0);
-        let mut sum = 0;
-        for &count in &self.counts[first..last] {
-            sum += i64::from(count);
-            self.offsets.push(sum);
+    /// Takes the pixels that a mask discards out of the blocks.
+    fn cut_out(&mut self, surface: &Surface<'_>, shade: &Shade) {
+        for block in &mut self.blocks {
+            for lane in lanes(block.mask) {
+                let (x, y) = pixel_at(&self.rect, block.first as usize + lane);
+                if !shade.passes(&surface.at(x, y)) {
+                    block.mask &= !(1 << lane);
+                }
+            }
         }
-        lists.reset_to(&self.offsets);
-        self.cursors.clear();
-        self.cursors.extend(self.offsets[..last - first].iter().map(|&o| o as usize));
     }
+}
 
-    /// Moves rows together where fewer fragments arrived than were counted.
-    #[expect(clippy::cast_sign_loss, clippy::cast_possible_truncation, reason = "offsets count fragments")]
-    fn close_gaps(&self, lists: &mut Lists) {
-        let full = self.cursors.iter().zip(&self.offsets[1..]).all(|(&end, &next)| end == next as usize);
-        if full {
-            return;
-        }
-        let mut write = 0;
-        for (i, &end) in self.cursors.iter().enumerate() {
-            let start = self.offsets[i] as usize;
-            lists.move_rows(start..end, write);
-            write += end - start;
-            lists.set_row_end(i, write);
-        }
-        lists.truncate(write);
-    }
+/// The depths of all blocks.
+#[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
+fn depths(surface: &Surface<'_>, rect: &Rect, blocks: &[Block], depth: &mut Vec<[f32; LANES]>) {
+    depth.extend(blocks.iter().map(|block| {
+        let (x, y) = pixel_at(rect, block.first as usize);
+        surface.depths(x, y)
+    }));
+}
+
+/// The lanes whose bit is set, ascending.
+pub fn lanes(mask: u8) -> impl Iterator<Item = usize> {
+    let mut left = mask;
+    std::iter::from_fn(move || {
+        let lane = left.trailing_zeros() as usize;
+        left &= left.wrapping_sub(1);
+        (lane < LANES).then_some(lane)
+    })
 }
 
 /// Depth of the opaque surface behind `key`; infinite where there is none.
@@ -175,22 +224,17 @@ fn opaque_depth(key: u64) -> f32 {
     if key == NOTHING_OPAQUE { f32::INFINITY } else { f32::from_bits((key >> 32) as u32) }
 }
 
-/// The rows of the tile that hold pixels `first..last`.
-#[expect(clippy::cast_possible_truncation, clippy::cast_possible_wrap, reason = "a tile's rows")]
-fn row_range(rect: &Rect, first: usize, last: usize) -> Rect {
-    let width = rect.width();
-    let (top, bottom) = (first / width, last.div_ceil(width));
-    Rect { y0: rect.y0 + top as i32, y1: rect.y0 + bottom as i32, ..*rect }
-}
-
 #[expect(clippy::cast_sign_loss, reason = "the pixel lies in the tile")]
 fn index_in(rect: &Rect, x: i32, y: i32) -> usize {
     (y - rect.y0) as usize * rect.width() + (x - rect.x0) as usize
 }
 
-#[expect(clippy::cast_sign_loss, reason = "spans are not empty")]
-fn span_length(x0: i32, x1: i32) -> usize {
-    (x1 - x0) as usize
+/// The image coordinates of a tile's pixel.
+#[inline]
+#[expect(clippy::cast_possible_truncation, clippy::cast_possible_wrap, reason = "pixels of a tile")]
+pub fn pixel_at(rect: &Rect, i: usize) -> (i32, i32) {
+    let (i, width) = (i as u32, rect.width() as u32);
+    (rect.x0 + (i % width) as i32, rect.y0 + (i / width) as i32)
 }
 
 fn primitive_spans(primitive: Primitive<'_>, rect: &Rect, span: impl FnMut(i32, i32, i32)) {
@@ -200,55 +244,39 @@ fn primitive_spans(primitive: Primitive<'_>, rect: &Rect, span: impl FnMut(i32, 
     }
 }
 
-/// Visits the primitives of a tile in submission order; false when stopped on the way.
+/// Visits the primitives of a tile in submission order until `visit` says no; false when stopped on the way.
 fn for_each_primitive<'a>(
+    raster: &Raster<'_>,
     chunks: &'a [Chunk],
-    tile: usize,
+    (column, row): (usize, usize),
     stop: &dyn Fn() -> bool,
-    mut visit: impl FnMut(&'a Chunk, Primitive<'a>),
+    mut visit: impl FnMut(&'a Chunk, Primitive<'a>) -> bool,
 ) -> bool {
+    let tile = row * raster.columns() + column;
     for chunk in chunks {
         for (i, primitive) in chunk.in_tile(tile).enumerate() {
-            if i % 64 == 0 && stop() {
+            if (i % 64 == 0 && stop()) || !visit(chunk, primitive) {
                 return false;
             }
-            visit(chunk, primitive);
         }
     }
     true
 }
 
 impl Raster<'_> {
-    /// Calls `pixel(x, y, hit, primitive id, shade)` for every pixel of `rect` that the primitive covers.
-    fn visit(
-        &self,
-        chunk: &Chunk,
-        primitive: Primitive<'_>,
-        rect: &Rect,
-        mut pixel: impl FnMut(i32, i32, &Hit, u32, &Shade),
-    ) {
+    /// A primitive's id, geometry and colours.
+    fn primitive<'r>(&'r self, chunk: &Chunk, primitive: Primitive<'_>) -> (u32, Surface<'r>, Paint) {
         let mesh = &self.scene.meshes()[chunk.mesh];
-        let shade = |face: u32, light| (chunk.first_primitive + face, Shade::new(mesh, face as usize, light));
-        match primitive {
+        let (face, light, flat, surface) = match primitive {
             Primitive::Triangle(t) => {
                 let plane = Plane::new(&t.vertices, self.projector.is_perspective());
-                let (id, shade) = shade(t.face, t.light);
-                walk(primitive, rect, &plane, |x, y, hit| pixel(x, y, hit, id, &shade));
+                (t.face, t.light, t.flat, Surface::Plane(plane))
             }
             Primitive::Polygon(p) => {
-                let ray = Ray::new(&self.projector, p.corners);
-                let (id, shade) = shade(p.face, p.light);
-                walk(primitive, rect, &ray, |x, y, hit| pixel(x, y, hit, id, &shade));
+                (p.face, p.light, None, Surface::Ray(Ray::new(&self.projector, p.corners)))
             }
-        }
+        };
+        let paint = flat.map_or_else(|| Paint::new(mesh, face as usize, light), Paint::Flat);
+        (chunk.first_primitive + face, surface, paint)
     }
-}
-
-fn walk(
-    primitive: Primitive<'_>,
-    rect: &Rect,
-    surface: &impl Interpolate,
-    mut pixel: impl FnMut(i32, i32, &Hit),
-) {
-    primitive_spans(primitive, rect, |y, x0, x1| (x0..x1).for_each(|x| pixel(x, y, &surface.at(x, y))));
 }

@@ -3,7 +3,7 @@
 use super::{Options, with_threads};
 use crate::error::{Error, Result};
 use crate::fragments::{Background, Fragments, Lists};
-use crate::raster::{self, Raster, Rect, Tile};
+use crate::raster::{self, Raster, Rect, Tile, TileLists};
 use crate::scene::Scene;
 use rayon::prelude::*;
 
@@ -29,26 +29,34 @@ pub fn capture(scene: &Scene, options: &Options, stop: &(dyn Fn() -> bool + Sync
             scene.height(),
             lists,
             Background::Image(background),
-            raster::view(scene),
-            Some(raster::centroid_depths(scene)),
+            raster.view(),
+            Some(raster::centroid_depths(scene, stop)),
         ))
     })
 }
 
 /// One row of tiles: its lists and backgrounds, pixel row by pixel row.
 fn band(raster: &Raster<'_>, row: usize, stop: &(dyn Fn() -> bool + Sync)) -> (Lists, Vec<[f32; 3]>) {
-    let tiles: Vec<_> = (0..raster.columns())
-        .into_par_iter()
-        .map(|column| {
-            let (mut tile, mut lists) = (Tile::default(), Lists::new());
-            let pixels = raster.rect(column, row).area();
-            if !(tile.begin(raster, column, row, stop) && tile.fill(raster, 0, pixels, &mut lists, stop)) {
-                lists.reset_to(&vec![0; pixels + 1]);
-            }
-            (tile.rect(), lists, tile.background().to_vec())
-        })
-        .collect();
-    interleave(&tiles)
+    let columns = (0..raster.columns()).into_par_iter();
+    interleave(&columns.map(|column| tile(raster, (column, row), stop)).collect::<Vec<_>>())
+}
+
+/// One tile; without fragments when stopped on the way.
+fn tile(
+    raster: &Raster<'_>,
+    place: (usize, usize),
+    stop: &(dyn Fn() -> bool + Sync),
+) -> (Rect, Lists, Vec<[f32; 3]>) {
+    let rect = raster.rect(place.0, place.1);
+    let (mut tile, mut collected, mut lists) = (Tile::default(), TileLists::default(), Lists::new());
+    collected.begin(rect, usize::MAX);
+    if tile.begin(raster, place, rect, stop) && tile.transparent(raster, place, &mut collected, stop) {
+        collected.distribute();
+        collected.shade(0, rect.area(), &mut lists);
+    } else {
+        lists = Lists::empty_rows(rect.area());
+    }
+    (rect, lists, tile.background().to_vec())
 }
 
 fn interleave(tiles: &[(Rect, Lists, Vec<[f32; 3]>)]) -> (Lists, Vec<[f32; 3]>) {

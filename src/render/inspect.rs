@@ -92,7 +92,9 @@ pub fn order_sensitivity(
         let order = SubmissionOrder::Shuffled { seed: seed.wrapping_add(shuffle) };
         variants.push(Variant { order, ..bind(info, &checked, &fragments.view)? });
     }
-    let context = Context { variants: &variants, centroids: None, skip: options.skip, stop };
+    let selected: Vec<_> = (0..shuffles).collect();
+    let context =
+        Context { variants: &variants, selected: &selected, centroids: None, skip: options.skip, stop };
     with_threads(options.threads, |_| {
         let budget = options.max_fragments / shuffles;
         let ends = run_ends(fragments, PIECE_PIXELS / 16, budget.max(1));
@@ -120,7 +122,7 @@ fn piece_variance(fragments: &Fragments, context: &Context<'_>, first: usize, la
     };
     let mut resolved = vec![Vec::new(); context.variants.len()];
     let mut tallies = vec![VariantTally::default(); context.variants.len()];
-    Resolver::default().run(context, &batch, &mut resolved, &mut tallies);
+    Resolver::default().run(context, &batch, 0, &mut resolved, &mut tallies);
     (0..last - first).map(|i| variance(resolved.iter().map(|image| image[i]))).collect()
 }
 

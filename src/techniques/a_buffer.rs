@@ -77,6 +77,7 @@ struct ABuffer;
 impl Technique for ABuffer {
     type Scratch = ();
     const NEEDS_SORTED: bool = true;
+    const NEEDS_ARRIVAL: bool = false;
 
     fn resolve(&self, pixel: &Pixel<'_>, (): &mut ()) -> Resolved {
         let (color, transmittance) = over(pixel.sorted);

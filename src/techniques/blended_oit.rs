@@ -1,12 +1,13 @@
 //! Blended OIT (`McGuire` & Bavoil 2013, eq. 5): the average colour at the exact coverage.
 
-use crate::continuum::sums::BlendSums;
+use crate::continuum::sums::{BlendSums, Blended};
 use crate::error::Result;
 use crate::params::{Params, View};
 use crate::technique::{
     AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties, Resolved, Technique,
 };
 use crate::techniques::ANY_ORDER;
+use glam::DVec3;
 
 /// The registry entry.
 pub static INFO: Info = Info {
@@ -38,15 +39,21 @@ fn build(_params: &Params, _view: &View) -> Result<Box<dyn AnyTechnique>> {
 
 struct BlendedOit;
 
-impl Technique for BlendedOit {
-    type Scratch = ();
+impl Blended for BlendedOit {
+    fn finish(&self, sums: &BlendSums, _count: usize, background: DVec3) -> Resolved {
+        sums.over(background)
+    }
+}
 
-    fn resolve(&self, pixel: &Pixel<'_>, (): &mut ()) -> Resolved {
-        let mut sums = BlendSums::CLEAR;
-        for (&color, &alpha) in pixel.list.color.iter().zip(pixel.list.alpha) {
-            sums.add(1.0, color, alpha);
-        }
-        sums.over(pixel.background)
+impl Technique for BlendedOit {
+    type Scratch = Vec<f32>;
+
+    fn resolve(&self, pixel: &Pixel<'_>, weights: &mut Vec<f32>) -> Resolved {
+        self.blend_list(pixel.list, pixel.background, weights)
+    }
+
+    fn blended(&self) -> Option<&dyn Blended> {
+        Some(self)
     }
 
     fn cost(&self, _complexity: &DepthComplexity) -> Cost {

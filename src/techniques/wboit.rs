@@ -1,7 +1,7 @@
 //! Weighted blended OIT (`McGuire` & Bavoil 2013, eq. 6): a depth-weighted average at the exact coverage.
 
 use super::blended_oit::BLENDED;
-use crate::continuum::sums::BlendSums;
+use crate::continuum::sums::{BlendSums, Blended};
 use crate::error::Result;
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{
@@ -9,6 +9,7 @@ use crate::technique::{
 };
 use crate::techniques::ANY_ORDER;
 use crate::weight::{self, Weighting};
+use glam::DVec3;
 
 /// The registry entry.
 pub static INFO: Info = Info {
@@ -57,20 +58,28 @@ struct Wboit {
     listing3_clamp: bool,
 }
 
+impl Blended for Wboit {
+    fn weighting(&self) -> Option<&Weighting> {
+        Some(&self.weighting)
+    }
+
+    fn finish(&self, sums: &BlendSums, _count: usize, background: DVec3) -> Resolved {
+        if self.listing3_clamp {
+            return sums.cover(sums.color() / sums.alpha().clamp(1e-4, 5e4), background);
+        }
+        sums.over(background)
+    }
+}
+
 impl Technique for Wboit {
     type Scratch = Vec<f32>;
 
     fn resolve(&self, pixel: &Pixel<'_>, weights: &mut Vec<f32>) -> Resolved {
-        let list = pixel.list;
-        self.weighting.evaluate(list.depth, list.alpha, weights);
-        let mut sums = BlendSums::CLEAR;
-        for ((&weight, &color), &alpha) in weights.iter().zip(list.color).zip(list.alpha) {
-            sums.add(weight, color, alpha);
-        }
-        if self.listing3_clamp {
-            return sums.cover(sums.color() / sums.alpha().clamp(1e-4, 5e4), pixel.background);
-        }
-        sums.over(pixel.background)
+        self.blend_list(pixel.list, pixel.background, weights)
+    }
+
+    fn blended(&self) -> Option<&dyn Blended> {
+        Some(self)
     }
 
     fn cost(&self, _complexity: &DepthComplexity) -> Cost {

@@ -1,12 +1,13 @@
 //! Weighted average (Bavoil & Myers 2008): every fragment becomes the mean fragment.
 
-use crate::continuum::normalize::sums_of_all;
+use crate::continuum::sums::{BlendSums, Blended};
 use crate::error::Result;
 use crate::params::{Params, View};
 use crate::technique::{
     AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties, Resolved, Technique,
 };
 use crate::techniques::ANY_ORDER;
+use glam::DVec3;
 
 /// The registry entry.
 pub static INFO: Info = Info {
@@ -39,13 +40,23 @@ fn build(_params: &Params, _view: &View) -> Result<Box<dyn AnyTechnique>> {
 
 struct WeightedAverage;
 
+impl Blended for WeightedAverage {
+    /// MB13 eq. 4, Listing 2.
+    fn finish(&self, sums: &BlendSums, count: usize, background: DVec3) -> Resolved {
+        sums.over_as_mean(count, background)
+    }
+}
+
 impl Technique for WeightedAverage {
-    type Scratch = ();
+    type Scratch = Vec<f32>;
     const SEES_ZERO_FRAGMENTS: bool = true;
 
-    /// MB13 eq. 4, Listing 2.
-    fn resolve(&self, pixel: &Pixel<'_>, (): &mut ()) -> Resolved {
-        sums_of_all(pixel.list).over_as_mean(pixel.list.len(), pixel.background)
+    fn resolve(&self, pixel: &Pixel<'_>, weights: &mut Vec<f32>) -> Resolved {
+        self.blend_list(pixel.list, pixel.background, weights)
+    }
+
+    fn blended(&self) -> Option<&dyn Blended> {
+        Some(self)
     }
 
     fn cost(&self, _complexity: &DepthComplexity) -> Cost {

@@ -1,12 +1,13 @@
 //! Sort-independent alpha blending (Meshkin 2007): the terms of `over` that do not depend on order.
 
-use crate::continuum::sums::BlendSums;
+use crate::continuum::sums::{BlendSums, Blended};
 use crate::error::Result;
 use crate::params::{Params, View};
 use crate::technique::{
     AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties, Resolved, Technique,
 };
 use crate::techniques::ANY_ORDER;
+use glam::DVec3;
 
 /// The registry entry.
 pub static INFO: Info = Info {
@@ -38,17 +39,23 @@ fn build(_params: &Params, _view: &View) -> Result<Box<dyn AnyTechnique>> {
 
 struct WeightedSum;
 
-impl Technique for WeightedSum {
-    type Scratch = ();
-
+impl Blended for WeightedSum {
     /// MB13 eq. 3, Listing 1.
-    fn resolve(&self, pixel: &Pixel<'_>, (): &mut ()) -> Resolved {
-        let mut sums = BlendSums::CLEAR;
-        for (&color, &alpha) in pixel.list.color.iter().zip(pixel.list.alpha) {
-            sums.add(1.0, color, alpha);
-        }
+    fn finish(&self, sums: &BlendSums, _count: usize, background: DVec3) -> Resolved {
         let transmittance = 1.0 - sums.alpha();
-        Resolved::new(sums.color() + transmittance * pixel.background, transmittance)
+        Resolved::new(sums.color() + transmittance * background, transmittance)
+    }
+}
+
+impl Technique for WeightedSum {
+    type Scratch = Vec<f32>;
+
+    fn resolve(&self, pixel: &Pixel<'_>, weights: &mut Vec<f32>) -> Resolved {
+        self.blend_list(pixel.list, pixel.background, weights)
+    }
+
+    fn blended(&self) -> Option<&dyn Blended> {
+        Some(self)
     }
 
     fn cost(&self, _complexity: &DepthComplexity) -> Cost {
