@@ -95,6 +95,10 @@ impl<I: Insertion<O>, M: Merge<O>, O: Opacity> Stream<I, M, O> {
         let Stored { nodes, lost, state: (insertion, merge) } = stored;
         let key = sort_key(fragment.depth, fragment.primitive);
         let at = place_of(nodes, key);
+        if self.merge.is_beyond(at, self.layers) {
+            lost.push(source);
+            return;
+        }
         let arrival = Arrival { pixel, fragment, key, in_front: &nodes[..at], opacity: &self.opacity };
         let Some(paint) = self.insertion.admit(&arrival, insertion) else {
             lost.push(source);

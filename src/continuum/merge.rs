@@ -34,6 +34,11 @@ pub trait Merge<O: Opacity>: Send + Sync + 'static {
         nodes.len() > layers.saturating_add(Self::EXTRA_NODES)
     }
 
+    /// Whether a newcomer at that place would be discarded at once, so that it need not be looked at.
+    fn is_beyond(&self, _newcomer: usize, _layers: usize) -> bool {
+        false
+    }
+
     /// Removes the node that is one too many. `lost` gets the source of what is discarded.
     fn make_room(
         &self,
@@ -57,6 +62,10 @@ pub struct DiscardFurthest;
 
 impl<O: Opacity> Merge<O> for DiscardFurthest {
     type State = ();
+
+    fn is_beyond(&self, newcomer: usize, layers: usize) -> bool {
+        newcomer >= layers
+    }
     fn make_room(
         &self,
         _opacity: &O,

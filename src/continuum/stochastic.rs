@@ -64,17 +64,14 @@ pub enum Visibility {
         /// b.
         bits: usize,
     },
-    /// Masks have alpha b bits (W16 eq. 4); tabulated where b is small.
+    /// Masks have alpha b bits (W16 eq. 4).
     Stratified {
         /// b.
         bits: usize,
-        /// `1 − P_b(o, i)` at place o (b + 1) + i.
-        hidden: Vec<f64>,
+        /// 1 − P.
+        hidden: Hidden,
     },
 }
-
-/// Wider masks than these are not tabulated: (b + 1)² numbers take half a megabyte here.
-const TABULATED: usize = 256;
 
 impl Visibility {
     /// Of masks of `bits` bits; none is without limit.
@@ -82,9 +79,7 @@ impl Visibility {
         match (bits, stratified) {
             (0, _) => Self::Certain,
             (_, false) => Self::Random { bits },
-            (_, true) => {
-                Self::Stratified { bits, hidden: if bits <= TABULATED { table(bits) } else { vec![] } }
-            }
+            (_, true) => Self::Stratified { bits, hidden: Hidden::new(bits) },
         }
     }
 
@@ -101,45 +96,57 @@ impl Visibility {
             Self::Stratified { bits, hidden } => {
                 // section 4.5: bilinear in o = α_occ b and i = α_i b
                 let (b, o) = (*bits as f64, occlusion());
-                1.0 - between(o * b, *bits, |o| {
-                    between(alpha * b, *bits, |i| match hidden.get(o * (bits + 1) + i) {
-                        Some(hidden) => *hidden,
-                        None => is_hidden(o, i, *bits),
-                    })
-                })
+                1.0 - between(o * b, *bits, |o| between(alpha * b, *bits, |i| hidden.of(o, i)))
             }
         }
     }
 }
 
-/// Linear interpolation of a function of 0..=`end` at `x`.
-#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "0 <= x <= 4096")]
-fn between(x: f64, end: usize, function: impl Fn(usize) -> f64) -> f64 {
-    let (floor, fraction) = ((x as usize).min(end), x.fract());
-    let value = function(floor);
-    if fraction == 0.0 || floor == end {
-        return value;
-    }
-    value + fraction * (function(floor + 1) - value)
+/// Probability that i bits of b at random are all among o given ones: the ratio of falling factorials
+/// o! (b − i)! / (b! (o − i)!) in W16 eq. 4.
+#[derive(Debug, Clone)]
+pub enum Hidden {
+    /// For every o and i, row by row of o.
+    Table {
+        /// b + 1.
+        width: usize,
+        /// The probabilities.
+        hidden: Vec<f64>,
+    },
+    /// From ln n! for every n up to b.
+    LogFactorials(Vec<f64>),
 }
 
-/// Probability that i bits of b at random are all among o given ones: the ratio of falling factorials in W16
-/// eq. 4.
+/// Wider masks than these are not tabulated: (b + 1)² numbers take half a megabyte here.
+const TABULATED: usize = 256;
+
 #[expect(clippy::cast_precision_loss, reason = "at most 4096 bits")]
-fn is_hidden(o: usize, i: usize, bits: usize) -> f64 {
-    /// What is less than this is lost in 1 − P.
-    const NEGLIGIBLE: f64 = 1e-20;
-    let mut hidden = 1.0;
-    for q in 0..i {
-        if o <= q || hidden < NEGLIGIBLE {
-            return 0.0;
+impl Hidden {
+    fn new(bits: usize) -> Self {
+        if bits <= TABULATED {
+            return Self::Table { width: bits + 1, hidden: table(bits) };
         }
-        hidden *= (o - q) as f64 / (bits - q) as f64;
+        let sum = |sum: &mut f64, n: usize| {
+            *sum += (n.max(1) as f64).ln();
+            Some(*sum)
+        };
+        Self::LogFactorials((0..=bits).scan(0.0, sum).collect())
     }
-    hidden
+
+    fn of(&self, o: usize, i: usize) -> f64 {
+        match self {
+            Self::Table { width, hidden } => hidden[o * width + i],
+            Self::LogFactorials(_) if o < i => 0.0,
+            Self::LogFactorials(ln) => {
+                // so paired, the differences are exactly zero where the result is exactly one
+                let b = ln.len() - 1;
+                ((ln[o] - ln[b]) + (ln[b - i] - ln[o - i])).exp()
+            }
+        }
+    }
 }
 
-/// [`is_hidden`] of every o and i.
+/// The product of (o − q) / (b − q) over q < i, for every o and i.
 #[expect(clippy::cast_precision_loss, reason = "at most 4096 bits")]
 fn table(bits: usize) -> Vec<f64> {
     let mut table = Vec::with_capacity((bits + 1) * (bits + 1));
@@ -151,6 +158,17 @@ fn table(bits: usize) -> Vec<f64> {
         }
     }
     table
+}
+
+/// Linear interpolation of a function of 0..=`end` at `x`.
+#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "0 <= x <= 4096")]
+fn between(x: f64, end: usize, function: impl Fn(usize) -> f64) -> f64 {
+    let (floor, fraction) = ((x as usize).min(end), x.fract());
+    let value = function(floor);
+    if fraction == 0.0 || floor == end {
+        return value;
+    }
+    value + fraction * (function(floor + 1) - value)
 }
 
 #[cfg(test)]
@@ -217,12 +235,15 @@ mod tests {
         assert_eq!(Visibility::new(0, true).of(|| 1.0, 0.0), 1.0);
     }
 
-    /// The widest table against the narrowest product, on either side of the limit.
+    /// Sums of logarithms up to 4096 ln 4096 lose that much to rounding.
+    const LOGARITHMS: f64 = 1e-10;
+
     #[test]
-    fn table_and_product_agree() {
-        for (o, i) in [(100, 3), (200, 40), (255, 200), (256, 5), (13, 14)] {
-            let product = 1.0 - is_hidden(o, i, TABULATED);
-            assert!((stratified(TABULATED, o, i) - product).abs() < ROUNDING, "{o} {i}");
+    fn factorials_and_products_agree() {
+        for (bits, o, i) in [(300, 100, 3), (300, 299, 200), (300, 300, 5), (4096, 4000, 30), (4096, 13, 14)]
+        {
+            let hidden = (0..i).map(|q| (o as f64 - q as f64).max(0.0) / (bits - q) as f64).product::<f64>();
+            assert!((stratified(bits, o, i) - (1.0 - hidden)).abs() < LOGARITHMS, "{bits} {o} {i}");
         }
     }
 
