@@ -7,7 +7,15 @@ from pathlib import Path
 import oitlab
 
 README = Path(__file__).parents[1] / "README.md"
-BEGIN, END = "<!-- techniques: begin -->\n", "<!-- techniques: end -->\n"
+MESHES = Path(__file__).parent / "real_meshes" / "table.md"
+
+
+def between(text: str, name: str) -> tuple[str, str, str]:
+    """Split at the markers of a generated part: before, inside and after."""
+    begin, end = f"<!-- {name}: begin -->\n", f"<!-- {name}: end -->\n"
+    head, rest = text.split(begin)
+    inside, tail = rest.split(end)
+    return head + begin, inside, end + tail
 
 
 def technique_table() -> str:
@@ -30,11 +38,18 @@ def technique_table() -> str:
     return "\n".join(lines) + "\n"
 
 
+def mesh_table() -> str:
+    """Take the table of the study of real meshes, with what it was measured on."""
+    _, table, after = between(MESHES.read_text(), "real_meshes")
+    return f"{table}\n{after.strip().splitlines()[-1]}\n"
+
+
 def current(text: str) -> str:
-    """Renew the generated part of the README."""
-    head, rest = text.split(BEGIN)
-    _, tail = rest.split(END)
-    return head + BEGIN + technique_table() + END + tail
+    """Renew the generated parts of the README."""
+    for name, part in (("techniques", technique_table()), ("real meshes", mesh_table())):
+        head, _, tail = between(text, name)
+        text = head + part + tail
+    return text
 
 
 def main() -> int:

@@ -62,6 +62,8 @@ def test_bad_arguments_are_named(
 
 # sums over a few dozen fragments in f32: the square of 2e-6 with room
 ROUNDING_VARIANCE = 1e-11
+# reconstruction from moments amplifies the rounding of their f32 sums: conformance is 2e-3 (sheet 2.5)
+AMPLIFIED = {"mboit_power": 4e-6, "mboit_trig": 4e-6}
 
 
 @pytest.mark.parametrize("entry", list(oitlab.techniques()), ids=lambda entry: entry.id)
@@ -72,7 +74,7 @@ def test_claims_about_order_are_true(entry: oitlab.TechniqueInfo, fragments: oit
         return
     largest = oitlab.order_sensitivity(fragments, entry.id, n=6).max()
     if entry.properties["order_independent"]:
-        assert largest < ROUNDING_VARIANCE
+        assert largest < AMPLIFIED.get(entry.id, ROUNDING_VARIANCE)
     else:
         assert largest > 1e-6
 

@@ -18,7 +18,8 @@ def test_a_frame_has_the_promised_shapes(small_scene: oitlab.Scene, technique: s
     frame = oitlab.render(small_scene, technique, dtype=dtype)
     size = (small_scene.height, small_scene.width)
     assert frame.color.shape == (*size, 3)
-    assert frame.transmittance.shape == size
+    colored = oitlab.techniques()[technique].properties["colored_transmittance"]
+    assert frame.transmittance.shape == ((*size, 3) if colored else size)
     assert frame.color.dtype == frame.transmittance.dtype == np.dtype(dtype)
     assert (frame.first_depth.shape, frame.first_depth.dtype) == (size, np.float32)
     assert (frame.fragment_count.shape, frame.fragment_count.dtype) == (size, np.uint32)

@@ -136,7 +136,7 @@ def techniques() -> TechniqueTable:
     return TechniqueTable(_entry(raw) for raw in _oitlab.techniques())
 
 
-CELL_WIDTH = 24
+CELL_WIDTH = 23
 _COLUMNS = ("id", "name", "params", "passes", "bytes/pixel", "backends", "source")
 
 

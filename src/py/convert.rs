@@ -1,7 +1,7 @@
 //! Params and registry entries between Python and the core.
 
 use crate::params::{Default as ParamDefault, Input, ParamSpec, Value};
-use crate::technique::{DepthComplexity, Info};
+use crate::technique::Info;
 use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
 use pyo3::types::{PyBool, PyDict, PyFloat, PyInt, PyString, PyTuple};
@@ -95,8 +95,7 @@ fn properties<'py>(py: Python<'py>, info: &Info) -> PyResult<Bound<'py, PyDict>>
     dict.set_item("exact_for_one", p.exact_for_one)?;
     dict.set_item("exact_for_one_color", p.exact_for_one_color)?;
     dict.set_item("exact_coverage", p.exact_coverage)?;
-    let cost = technique.cost(&DepthComplexity { mean: 1.0, max: 1 });
-    debug_assert!(cost.bytes_per_pixel.is_finite());
+    dict.set_item("colored_transmittance", technique.colored_transmittance())?;
     Ok(dict)
 }
 
