@@ -197,6 +197,7 @@ fn default_promises_are_the_sheets() {
             Properties { unbiased: true, ..promises([true, true, false, false, false]) },
         ),
         ("slab", promises([true, true, true, true, true])),
+        ("continuum", promises([false, true, true, true, true])),
         ("mlcb", promises([false, true, false, false, false])),
         ("painter", promises([true, false, true, true, true])),
         ("weighted_sum", promises([true, false, true, false, false])),

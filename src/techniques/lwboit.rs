@@ -157,7 +157,8 @@ enum Storage {
     Lists { capacity: usize },
 }
 
-struct LayeredWboit {
+/// Bins of a depth range, blended by weight.
+pub(super) struct LayeredWboit {
     bins: usize,
     sharing: Sharing,
     normalize: bool,
@@ -171,7 +172,7 @@ struct LayeredWboit {
 
 /// One pixel's working memory.
 #[derive(Debug, Default)]
-struct Scratch {
+pub(super) struct Scratch {
     bins: Bins,
     shaped_depth: Vec<f32>,
     weights: Vec<f32>,
@@ -197,6 +198,33 @@ impl Slicing {
 }
 
 impl LayeredWboit {
+    /// Bins that a fragment is in or not, of unshaped depth.
+    pub(super) fn naive(bins: usize, range: DepthRange, weighting: Weighting) -> Self {
+        Self {
+            bins,
+            sharing: Sharing::Naive,
+            normalize: false,
+            shape: None,
+            storage: Storage::Bins,
+            weighting,
+            range,
+            range_covers_scene: false,
+        }
+    }
+
+    /// Blends the fragments of `list` into the bins that `whole` asks for, and composites these.
+    pub(super) fn blend_bins(&self, whole: List<'_>, list: List<'_>, scratch: &mut Scratch) -> Core {
+        let Scratch { bins, shaped_depth, weights } = scratch;
+        let slicing = self.slicing(whole);
+        self.weigh(list, slicing, shaped_depth, weights);
+        bins.reset(self.bins);
+        for (i, &weight) in weights.iter().enumerate() {
+            let position = slicing.shifted(list.depth[i]) / slicing.width;
+            self.deposit(bins, position, weight, list.color[i], list.alpha[i]);
+        }
+        bins.under_blend()
+    }
+
     fn slicing(&self, list: List<'_>) -> Slicing {
         let (lo, hi) = self.range.bounds(list);
         #[expect(clippy::cast_precision_loss, reason = "at most 512")]
@@ -305,17 +333,10 @@ impl Technique for LayeredWboit {
 
     fn resolve(&self, pixel: &Pixel<'_>, scratch: &mut Scratch) -> Resolved {
         let list = self.kept(pixel.list);
-        let Scratch { bins, shaped_depth, weights } = scratch;
-        let slicing = self.slicing(list);
-        self.weigh(list, slicing, shaped_depth, weights);
-        bins.reset(self.bins);
-        for (i, &weight) in weights.iter().enumerate() {
-            let position = slicing.shifted(list.depth[i]) / slicing.width;
-            self.deposit(bins, position, weight, list.color[i], list.alpha[i]);
-        }
+        let layers = self.blend_bins(list, list, scratch);
         Resolved {
             dropped: (pixel.list.len() - list.len()) as u64,
-            ..self.composite(&bins.under_blend(), list, pixel.background)
+            ..self.composite(&layers, list, pixel.background)
         }
     }
 

@@ -11,6 +11,7 @@ pub mod alpha_compositing;
 pub mod alpha_testing;
 pub mod avsm;
 pub mod blended_oit;
+pub mod continuum;
 pub mod deep_opacity_maps;
 pub mod deep_shadow_maps;
 pub mod density_clustering;
@@ -78,6 +79,7 @@ pub static REGISTRY: &[&Info] = &[
     &mboit_power::INFO,
     &mboit_trig::INFO,
     &gs_wsr::INFO,
+    &continuum::INFO,
 ];
 
 /// The technique of that id or alias.

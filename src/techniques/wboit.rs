@@ -53,9 +53,12 @@ fn build(params: &Params, _view: &View) -> Result<Box<dyn AnyTechnique>> {
     Ok(Box::new(Wboit { weighting, listing3_clamp: params.bool("listing3_clamp") }))
 }
 
-struct Wboit {
-    weighting: Weighting,
-    listing3_clamp: bool,
+/// A weighted average at the exact coverage.
+pub(super) struct Wboit {
+    /// The weights.
+    pub weighting: Weighting,
+    /// Whether the sum of weights is clamped as printed.
+    pub listing3_clamp: bool,
 }
 
 impl Blended for Wboit {

@@ -37,7 +37,8 @@ fn build(_params: &Params, _view: &View) -> Result<Box<dyn AnyTechnique>> {
     Ok(Box::new(WeightedSum))
 }
 
-struct WeightedSum;
+/// Premultiplied colours added up.
+pub(super) struct WeightedSum;
 
 impl Blended for WeightedSum {
     /// MB13 eq. 3, Listing 1.
