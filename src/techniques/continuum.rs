@@ -19,6 +19,7 @@ use crate::continuum::opacity::{Alpha, Opacity};
 use crate::continuum::oracle::{Composite, Oracle, TwoPass};
 use crate::continuum::range::DepthRange;
 use crate::continuum::stochastic::{Visibility, VisibleByChance, VisibleSamples};
+use crate::continuum::sums::Blended;
 use crate::error::Result;
 use crate::params::{Default, Kind, ParamSpec, Params, Value, View};
 use crate::technique::{
@@ -368,9 +369,13 @@ impl<T, const SORTED: bool> Composed<T, SORTED> {
 impl<T: Technique, const SORTED: bool> Technique for Composed<T, SORTED> {
     type Scratch = T::Scratch;
     const NEEDS_SORTED: bool = SORTED || T::NEEDS_SORTED;
+    const NEEDS_ARRIVAL: bool = !SORTED && T::NEEDS_ARRIVAL;
 
     fn resolve(&self, pixel: &Pixel<'_>, scratch: &mut T::Scratch) -> Resolved {
         self.technique.resolve(&Self::shown(pixel), scratch)
+    }
+    fn blended(&self) -> Option<&dyn Blended> {
+        self.technique.blended()
     }
     fn transmittance(&self, pixel: &Pixel<'_>, depths: &[f32], scratch: &mut T::Scratch) -> Option<Vec<f64>> {
         self.technique.transmittance(&Self::shown(pixel), depths, scratch)

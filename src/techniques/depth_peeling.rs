@@ -83,6 +83,19 @@ impl Technique for DepthPeeling {
         Resolved::new(color + transmittance * pixel.background, transmittance)
     }
 
+    fn transmittance(&self, pixel: &Pixel<'_>, depths: &[f32], (): &mut ()) -> Option<Vec<f64>> {
+        let mut behind = vec![1.0];
+        for &alpha in pixel.sorted.alpha.iter().take(self.passes) {
+            let shown = behind[behind.len() - 1];
+            if shown < self.enough {
+                break;
+            }
+            behind.push(shown * (1.0 - f64::from(alpha)));
+        }
+        let in_front = |&depth: &f32| pixel.sorted.depth.partition_point(|z| *z < depth);
+        Some(depths.iter().map(|depth| behind[in_front(depth).min(behind.len() - 1)]).collect())
+    }
+
     #[expect(clippy::cast_precision_loss, reason = "a cost estimate")]
     fn cost(&self, complexity: &DepthComplexity) -> Cost {
         Cost { geometry_passes: self.passes.min(complexity.max + 1) as f64, bytes_per_pixel: 16.0 }
@@ -106,7 +119,7 @@ mod tests {
     use crate::params::Input;
     use crate::technique::DepthComplexity;
     use crate::techniques::testing::{
-        assert_close, build, fragment, over, random_pixel, resolve, three_layers,
+        as_pixel, assert_close, build, fragment, over, random_pixel, resolve, three_layers,
     };
 
     #[test]
@@ -145,6 +158,13 @@ mod tests {
         let peeled = resolve("depth_peeling", &[("early_out", Input::Bool(true))], &pixel);
         assert_eq!(peeled.transmittance.x, 0.5_f64.powi(11));
         assert_close(peeled, over(&pixel).0, 0.0, 1.0 / 1024.0);
+    }
+
+    #[test]
+    fn steps_are_those_of_the_peeled_layers() {
+        let peel = build("depth_peeling", &[("passes", Input::Int(2))]).unwrap();
+        let steps = as_pixel(&three_layers(), |pixel| peel.transmittance(pixel, &[2.0, 3.0, 5.0, 9.0]));
+        assert_eq!(steps.unwrap(), [1.0, 0.75, 0.375, 0.375]);
     }
 
     #[test]

@@ -83,6 +83,7 @@ impl DualDepthPeeling {
 impl Technique for DualDepthPeeling {
     type Scratch = ();
     const NEEDS_SORTED: bool = true;
+    const NEEDS_ARRIVAL: bool = false;
 
     /// Pass p finds the places p and n − 1 − p of the sorted list.
     fn resolve(&self, pixel: &Pixel<'_>, (): &mut ()) -> Resolved {
