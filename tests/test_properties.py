@@ -1,0 +1,99 @@
+"""What holds for every technique and every valid fragment list, on lists that hypothesis makes."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import oitlab
+from oitlab import Fragments
+
+TECHNIQUES = oitlab.techniques()
+MEANS = [entry.id for entry in TECHNIQUES if entry.properties["exact_for_one_color"]]
+BACKGROUND = (0.25, 0.5, 0.75)
+SIZE = {"width": 2, "height": 1, "background": BACKGROUND, "depth_range": (1.0, 9.0)}
+HULL = 1e-5
+"""How far a mean of float32 sums may leave its colours' hull, relative to the largest of them."""
+SEES_ZERO_FRAGMENTS = {"weighted_average"}
+
+quick = settings(max_examples=40, derandomize=True, deadline=None, database=None)
+unit = st.floats(0, 1, width=32)
+depths = st.one_of(st.sampled_from([0.0, 1.0, 2.5, 2.5000002, 9.0]), st.floats(0, 100, width=32))
+alphas = st.one_of(st.sampled_from([0.0, 1e-7, 1.0]), unit)
+channels = st.one_of(st.sampled_from([0.0, 1.0, 6e4]), unit)
+# depth, unmultiplied colour, alpha, primitive, whether it emits if it covers nothing
+layers = st.tuples(depths, st.tuples(channels, channels, channels), alphas, st.integers(0, 9), st.booleans())
+pixels = st.lists(st.lists(layers, max_size=12), min_size=2, max_size=2)
+
+
+def made_of(scene: list[list[Any]]) -> Fragments:
+    """Fragments of the two pixels of layers."""
+    every = [layer for pixel in scene for layer in pixel]
+    share = [alpha if alpha else float(emits) for _, _, alpha, _, emits in every]
+    color = [np.float32(rgb) * np.float32(s) for (_, rgb, *_), s in zip(every, share, strict=True)]
+    return Fragments(
+        offsets=np.cumsum([0, *map(len, scene)]),
+        depth=np.array([layer[0] for layer in every], np.float32),
+        color=np.array(color, np.float32).reshape(-1, 3),
+        alpha=np.array([layer[2] for layer in every], np.float32),
+        primitive=np.array([layer[3] for layer in every], np.uint32),
+        **SIZE,
+    )
+
+
+def images(fragments: Fragments, names: list[str]) -> list[tuple[str, oitlab.Frame]]:
+    return list(zip(names, oitlab.render_many(fragments, names), strict=True))
+
+
+@quick
+@given(pixels)
+def test_every_image_is_finite(scene: list[list[Any]]) -> None:
+    for name, frame in images(made_of(scene), list(TECHNIQUES.ids)):
+        assert np.isfinite(frame.color).all(), name
+        assert np.isfinite(frame.transmittance).all(), name
+
+
+@quick
+@given(pixels)
+def test_means_stay_inside_the_hull_of_the_colors(scene: list[list[Any]]) -> None:
+    # no emission without coverage, and a primitive of its own for each fragment
+    plain = [
+        [(z, rgb, alpha, place, False) for place, (z, rgb, alpha, *_) in enumerate(pixel)] for pixel in scene
+    ]
+    fragments = made_of(plain)
+    for name, frame in images(fragments, MEANS):
+        for x in range(2):
+            pixel = fragments.pixel(x, 0)
+            covers = pixel["alpha"] > 0
+            colors = pixel["color"][covers] / pixel["alpha"][covers, np.newaxis]
+            every = np.vstack([colors, np.float32([BACKGROUND])])
+            slack = HULL * max(1.0, every.max())
+            assert (every.min(0) - slack <= frame.color[0, x]).all(), name
+            assert (frame.color[0, x] <= every.max(0) + slack).all(), name
+
+
+@quick
+@given(pixels, st.integers(0, 1), st.integers(0, 12), depths)
+def test_zero_fragments_do_nothing(scene: list[list[Any]], x: int, place: int, depth: float) -> None:
+    names = [name for name in TECHNIQUES.ids if name not in SEES_ZERO_FRAGMENTS]
+    more = [list(pixel) for pixel in scene]
+    more[x].insert(place, (depth, (0.0, 0.0, 0.0), 0.0, 99, False))
+    pairs = zip(images(made_of(scene), names), images(made_of(more), names), strict=True)
+    for (name, without), (_, with_zero) in pairs:
+        np.testing.assert_array_equal(without.color, with_zero.color, name)
+        np.testing.assert_array_equal(without.transmittance, with_zero.transmittance, name)
+
+
+@pytest.mark.parametrize(
+    ("technique", "params"),
+    [("weighted_average", {}), ("hybrid_transparency", {"layers": 1, "tail": "count"})],
+)
+def test_two_techniques_count_zero_fragments(technique: str, params: dict[str, Any]) -> None:
+    layer = (2.0, (1.0, 0.5, 0.0), 0.5, 0, False)
+    zero = (1.0, (0.0, 0.0, 0.0), 0.0, 1, False)
+    behind = (3.0, (0.0, 0.5, 1.0), 0.25, 2, False)
+    without = oitlab.render(made_of([[layer, behind], []]), technique, params)
+    with_zero = oitlab.render(made_of([[zero, layer, behind], []]), technique, params)
+    assert not np.array_equal(without.color, with_zero.color)
