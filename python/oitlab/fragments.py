@@ -29,8 +29,8 @@ class Fragments:
     alpha : (N,) float array in [0, 1]
     primitive : (N,) integer array, optional
         Which triangle a fragment came from; ties in depth are broken by it. The fragment's place in its list
-        when absent. Fragments of a pixel that have depth and primitive in common, which no scene makes, lie in
-        order of arrival for lists; the maps of two-pass techniques take them for one place, where neither hides
+        when absent. Fragments of a pixel with depth and primitive in common, which no scene makes, lie in
+        order of arrival for lists; maps of two-pass techniques take them for one place, where neither hides
         the other.
     background : (3,) or (H, W, 3) float array
         Linear RGB behind the fragments, opaque surfaces included.
