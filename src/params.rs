@@ -245,6 +245,11 @@ pub struct View {
     pub depth_range: (f64, f64),
 }
 
+impl View {
+    /// A view for questions that no image is needed for.
+    pub const ORDINARY: Self = Self { near: 0.1, far: 100.0, depth_range: (1.0, 10.0) };
+}
+
 /// What the user gave, checked against a technique's table but not yet completed.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Checked {

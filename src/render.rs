@@ -8,7 +8,7 @@ mod tiles;
 
 pub use capture::capture;
 pub use depth::{DepthImages, depth_images};
-pub use inspect::{Transmittance, order_sensitivity, transmittance};
+pub use inspect::{Transmittance, cost, order_sensitivity, transmittance};
 
 use crate::error::{Error, Result};
 use crate::fragments::Fragments;

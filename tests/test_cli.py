@@ -228,6 +228,11 @@ class TestTechniques:
         out = run(capsys, "techniques", "wboit", "over")[1]
         assert out == f"{oitlab.techniques()['wboit']}\n\n{oitlab.techniques()['a_buffer']}\n"
 
+    def test_axes(self, capsys):
+        assert run(capsys, "techniques", "--axes") == (0, f"{oitlab.techniques().axes_table()}\n", "")
+        out = run(capsys, "techniques", "--axes", "mlab", "over")[1]
+        assert [line.split()[0] for line in out.splitlines()[2:] if line[0] != " "] == ["mlab", "a_buffer"]
+
 
 class TestErrors:
     @pytest.mark.parametrize(

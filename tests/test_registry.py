@@ -108,3 +108,71 @@ def test_an_entry_prints_its_params() -> None:
     text = str(TABLE["lwboit"])
     assert text.startswith("lwboit")
     assert all(param.name in text for param in TABLE["lwboit"].params)
+
+
+COST_PARAMS = {
+    "lwboit": [{"bins": 8}, {"bins": 64}, {"storage": "ll"}],
+    "mlab": [{"layers": 8}],
+    "depth_peeling": [{"passes": 3}],
+    "stochastic_transparency": [{"samples": 16, "mode": "depth"}],
+}
+
+
+@pytest.mark.parametrize("entry", TABLE, ids=TABLE.ids)
+def test_the_cost_is_that_of_a_render(entry: oitlab.TechniqueInfo, small_scene: oitlab.Scene) -> None:
+    for params in ({}, *COST_PARAMS.get(entry.id, [])):
+        stats = oitlab.render(small_scene, entry.id, params).stats
+        cost = entry.cost(
+            params,
+            depth_complexity_mean=stats.depth_complexity_mean,
+            depth_complexity_max=stats.depth_complexity_max,
+        )
+        assert cost == oitlab.Cost(stats.geometry_passes, stats.bytes_per_pixel)
+
+
+def test_the_cost_follows_params_and_depth_complexity() -> None:
+    def bytes_per_pixel(name: str, mean: float, **params: object) -> float:
+        return TABLE[name].cost(params, depth_complexity_mean=mean, depth_complexity_max=40).bytes_per_pixel
+
+    assert [bytes_per_pixel("mlab", 3.0, layers=k) for k in (1, 4)] == [8.0, 32.0]
+    assert [bytes_per_pixel("a_buffer", n) for n in (0.0, 2.5)] == [4.0, 44.0]
+    assert [bytes_per_pixel("wboit", n) for n in (0.0, 2.5)] == [10.0, 10.0]
+    peeling = TABLE["depth_peeling"].cost(depth_complexity_mean=3, depth_complexity_max=np.int64(40))
+    assert peeling.geometry_passes == 41.0
+
+
+@pytest.mark.parametrize(
+    ("params", "mean", "largest", "message"),
+    [
+        ({"bins": 0}, 1.0, 4, "bins"),
+        ({"nis": 8}, 1.0, 4, "nis"),
+        (None, -1.0, 4, "depth_complexity_mean: -1 is not a number from 0 to depth_complexity_max = 4"),
+        (None, float("nan"), 4, "depth_complexity_mean"),
+        (None, 5.0, 4, "depth_complexity_mean"),
+        (None, "2", 4, "depth_complexity_mean must be a number"),
+        (None, 1.0, 4.5, "depth_complexity_max must be an integer"),
+        (None, 1.0, -1, "depth_complexity_max must not be negative"),
+    ],
+)
+def test_costs_of_nothing_possible_are_refused(
+    params: dict, mean: object, largest: object, message: str
+) -> None:  # type: ignore[type-arg]
+    with pytest.raises(ValueError, match=message):
+        TABLE["lwboit"].cost(params, depth_complexity_mean=mean, depth_complexity_max=largest)  # type: ignore[arg-type]
+
+
+def test_the_axes_are_wymans() -> None:
+    table = TABLE.axes_table()
+    lines = str(table).splitlines()
+    assert max(map(len, lines)) <= 170
+    assert repr(table) == str(table)
+    assert {line.split()[0] for line in lines[2:] if line[0] != " "} == set(TABLE.ids)
+    rows = {row[0]: row[1:] for row in table.rows}
+    assert rows["mlab"][:5] == ("k layers", "always", "merge furthest", "no", "alpha")
+    assert rows["mlab"][5:] == ("no", "no", "yes")
+    assert rows["wboit"][:5] == ("empirical func", "never", "discard all", "α-weighted average", "alpha")
+    for entry in TABLE:
+        assert set(entry.axes.values()) <= set(rows[entry.id])
+    html = table._repr_html_()
+    assert html.count("<tr>") == 1 + len(TABLE)
+    assert html.count("<td>") == len(TABLE) * len(table.columns)

@@ -26,12 +26,13 @@ from .inspection import Transmittance, order_sensitivity, transmittance
 from .loading import LoadWarning, TextureWarning, load
 from .metrics import compare, error_map
 from .png import write_png
-from .registry import ParamInfo, TechniqueInfo, techniques
+from .registry import Cost, ParamInfo, TechniqueInfo, techniques
 from .rendering import capture, render, render_many
 from .scene import Camera, Mesh, Scene
 
 __all__ = [
     "Camera",
+    "Cost",
     "Fragments",
     "Frame",
     "LoadWarning",

@@ -14,6 +14,7 @@ __all__ = [
     "__version__",
     "build_features",
     "capture",
+    "cost",
     "order_sensitivity",
     "render",
     "techniques",
@@ -159,4 +160,10 @@ def order_sensitivity(
     seed: int,
     threads: int | None,
 ) -> NDArray[np.float64]: ...
+def cost(
+    technique: str,
+    params: dict[str, Any],
+    depth_complexity_mean: float,
+    depth_complexity_max: int,
+) -> tuple[float, float]: ...
 def techniques() -> list[dict[str, Any]]: ...

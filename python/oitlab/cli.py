@@ -196,6 +196,11 @@ def _add_techniques(commands: Any) -> None:
     command = commands.add_parser("techniques", help="list the techniques, or describe some")
     command.add_argument("ids", nargs="*", metavar="ID", help="describe these")
     command.add_argument("--ids", dest="only_ids", action="store_true", help="print nothing but the ids")
+    command.add_argument(
+        "--axes",
+        action="store_true",
+        help="show their places on the axes of Wyman's Table 1, and what they promise",
+    )
     command.set_defaults(run=_techniques)
 
 
@@ -282,18 +287,21 @@ def _compare(options: argparse.Namespace) -> None:
 
 
 def _techniques(options: argparse.Namespace) -> None:
-    from .registry import techniques
+    from .registry import TechniqueTable, techniques
 
     table = techniques()
+    for name in options.ids:
+        if name not in table:
+            raise ValueError(f"unknown technique {name!r}; known: {', '.join(table.ids)}")
+    chosen = TechniqueTable(table[name] for name in options.ids) if options.ids else table
     if options.only_ids:
-        print("\n".join(table.ids))
-    elif not options.ids:
-        print(table)
+        print("\n".join(chosen.ids))
+    elif options.axes:
+        print(chosen.axes_table())
+    elif options.ids:
+        print("\n\n".join(map(str, chosen)))
     else:
-        for name in options.ids:
-            if name not in table:
-                raise ValueError(f"unknown technique {name!r}; known: {', '.join(table.ids)}")
-        print("\n\n".join(str(table[name]) for name in options.ids))
+        print(table)
 
 
 def _demo(options: argparse.Namespace) -> None:

@@ -12,6 +12,8 @@ from types import MappingProxyType
 from typing import Any, overload
 
 from . import _oitlab
+from ._convert import count, scalar
+from ._convert import params as python_params
 
 
 @dataclass(frozen=True)
@@ -23,6 +25,16 @@ class ParamInfo:
     range: str
     default: Any
     doc: str
+
+
+@dataclass(frozen=True)
+class Cost:
+    """What a streaming GPU implementation of a technique would need."""
+
+    geometry_passes: float
+    """Times the transparent geometry is drawn."""
+    bytes_per_pixel: float
+    """The technique's own state; the image itself and opaque depth not counted."""
 
 
 @dataclass(frozen=True)
@@ -45,12 +57,73 @@ class TechniqueInfo:
     """Geometry passes of a streaming GPU implementation; may depend on params, hence text."""
     bytes_per_pixel: str
 
+    def cost(
+        self,
+        params: Mapping[str, Any] | None = None,
+        *,
+        depth_complexity_mean: float,
+        depth_complexity_max: int,
+    ) -> Cost:
+        """Geometry passes and bytes per pixel under these params, as `Frame.stats` has them after a render.
+
+        Parameters
+        ----------
+        params : mapping, optional
+            The technique's parameters; those left out take their defaults.
+        depth_complexity_mean : float >= 0
+            Fragments per pixel, empty pixels included: lists of all fragments grow with it.
+        depth_complexity_max : int >= depth_complexity_mean
+            Fragments of the deepest pixel: peeling that goes to the end draws as often.
+
+        Returns
+        -------
+        Cost
+
+        Raises
+        ------
+        ValueError
+            Numbers out of range, or params that `oitlab.render` would refuse.
+
+        Examples
+        --------
+        >>> lwboit = techniques()["lwboit"]
+        >>> lwboit.cost({"bins": 64}, depth_complexity_mean=2.5, depth_complexity_max=32)
+        Cost(geometry_passes=..., bytes_per_pixel=...)
+        >>> mlab = techniques()["mlab"]
+        >>> [mlab.cost({"layers": k}, depth_complexity_mean=2.5, depth_complexity_max=32).bytes_per_pixel
+        ...     for k in (4, 8)]
+        [32.0, 64.0]
+        """
+        mean = scalar(depth_complexity_mean, "depth_complexity_mean")
+        largest = count(depth_complexity_max, "depth_complexity_max", bits=32)
+        return Cost(*_oitlab.cost(self.id, python_params(params, self.id), mean, largest))
+
     def __str__(self) -> str:
         lines = [f"{self.id}: {self.name} [{', '.join(self.citation)}]", "", self.doc.strip()]
         if self.params:
             rows = [(p.name, p.type, p.range, repr(p.default), p.doc) for p in self.params]
             lines += ["", _text_table(("param", "type", "range", "default", "meaning"), rows)]
         return "\n".join(lines)
+
+
+@dataclass(frozen=True)
+class TextTable:
+    """Rows of text that print as a plain-text table, and as HTML in notebooks."""
+
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+
+    def __str__(self) -> str:
+        return _text_table(self.columns, self.rows)
+
+    def __repr__(self) -> str:
+        return str(self)
+
+    def _repr_html_(self) -> str:
+        head = "".join(f"<th>{escape(column)}</th>" for column in self.columns)
+        lines = ("".join(f"<td>{escape(cell)}</td>" for cell in row) for row in self.rows)
+        body = "".join(f"<tr>{line}</tr>" for line in lines)
+        return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
 
 
 class TechniqueTable(Sequence[TechniqueInfo]):
@@ -109,19 +182,36 @@ class TechniqueTable(Sequence[TechniqueInfo]):
     def __hash__(self) -> int:
         return hash(self.ids)
 
+    def axes_table(self) -> TextTable:
+        """Lay out each technique's choices on the axes of Wyman's Table 1 [Wyman2016], and what it promises.
+
+        The promises are those under default params: that the image does not depend on submission order, that
+        its expectation is the exact image, that its error vanishes as the technique's size grows.
+
+        Returns
+        -------
+        TextTable
+
+        Examples
+        --------
+        >>> print(techniques()[:1].axes_table())
+        id        memory  insertion  merge       normalize  alpha/coverage  order-free  unbiased  consistent
+        --------  ------  ---------  ----------  ---------  --------------  ----------  --------  ----------
+        a_buffer  none    always     no merging  no         either          yes         yes       yes
+        """
+        return TextTable(_AXES_COLUMNS, tuple(map(_axes_row, self._entries)))
+
+    def _table(self) -> TextTable:
+        return TextTable(_COLUMNS, tuple(map(_row, self._entries)))
+
     def __str__(self) -> str:
-        return _text_table(_COLUMNS, [_row(entry) for entry in self._entries])
+        return str(self._table())
 
     def __repr__(self) -> str:
         return str(self)
 
     def _repr_html_(self) -> str:
-        head = "".join(f"<th>{escape(column)}</th>" for column in _COLUMNS)
-        body = "".join(
-            "<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in _row(entry)) + "</tr>"
-            for entry in self._entries
-        )
-        return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+        return self._table()._repr_html_()
 
 
 @cache
@@ -138,6 +228,16 @@ def techniques() -> TechniqueTable:
 
 CELL_WIDTH = 23
 _COLUMNS = ("id", "name", "params", "passes", "bytes/pixel", "backends", "source")
+
+
+_AXES = ("memory", "insertion", "merge", "normalize", "opacity")
+_PROMISES = {"order-free": "order_independent", "unbiased": "unbiased", "consistent": "consistent"}
+_AXES_COLUMNS = ("id", *_AXES[:-1], "alpha/coverage", *_PROMISES)
+
+
+def _axes_row(entry: TechniqueInfo) -> tuple[str, ...]:
+    promises = ("yes" if entry.properties[name] else "no" for name in _PROMISES.values())
+    return (entry.id, *(entry.axes[axis] for axis in _AXES), *promises)
 
 
 def _row(entry: TechniqueInfo) -> tuple[str, ...]:

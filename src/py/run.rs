@@ -10,6 +10,7 @@ use crate::fragments::Fragments;
 use crate::render as core;
 use crate::render::{Options, Request, Source};
 use crate::scene::Scene;
+use crate::technique::DepthComplexity;
 use crate::techniques::REGISTRY;
 use numpy::{PyArray1, PyArrayMethods, PyReadonlyArray1};
 use pyo3::exceptions::{PyRuntimeError, PyTypeError};
@@ -188,6 +189,19 @@ pub fn order_sensitivity<'py>(
         core::order_sensitivity(&fragments, &request, shuffles, seed, &options, stop)
     })?;
     Ok(PyArray1::from_vec(py, variance).reshape(shape)?.into_any())
+}
+
+/// Geometry passes and bytes per pixel of a technique on an image so deep.
+#[pyfunction]
+pub fn cost(
+    technique: String,
+    params: &Bound<'_, PyDict>,
+    depth_complexity_mean: f64,
+    depth_complexity_max: usize,
+) -> PyResult<(f64, f64)> {
+    let complexity = DepthComplexity { mean: depth_complexity_mean, max: depth_complexity_max };
+    let cost = core::cost(&(technique, inputs(params)?), &complexity)?;
+    Ok((cost.geometry_passes, cost.bytes_per_pixel))
 }
 
 /// The registry, one dict per technique.

@@ -5,7 +5,8 @@ use crate::error::{Error, Result};
 use crate::fragments::Fragments;
 use crate::order::SubmissionOrder;
 use crate::resolve::{Context, Resolver, Variant, VariantTally};
-use crate::technique::{Batch, Resolved};
+use crate::params::View;
+use crate::technique::{Batch, Cost, DepthComplexity, Resolved};
 use rayon::prelude::*;
 
 /// A pixel's transmittance strictly in front of some depths.
@@ -61,6 +62,21 @@ pub fn transmittance(
     let reconstructed = Resolver::default().transmittance(&variant, centroids.as_ref(), &batch, depths);
     let none = || Error::argument("technique", format!("{} has no transmittance function", info.id));
     Ok(Transmittance { exact, reconstructed: reconstructed.ok_or_else(none)? })
+}
+
+/// What a streaming GPU implementation of a technique would need for an image so deep.
+///
+/// # Errors
+/// [`Error::Argument`] for a mean that is not a number in `[0, max]`; [`Error::Param`] as for `render`.
+pub fn cost(request: &Request, complexity: &DepthComplexity) -> Result<Cost> {
+    let DepthComplexity { mean, max } = *complexity;
+    #[expect(clippy::cast_precision_loss, reason = "a cost estimate")]
+    if !(0.0..=max as f64).contains(&mean) {
+        let problem = format!("{mean} is not a number from 0 to depth_complexity_max = {max}");
+        return Err(Error::argument("depth_complexity_mean", problem));
+    }
+    let (info, checked) = check_request(request)?;
+    Ok(bind(info, &checked, &View::ORDINARY)?.technique.cost(complexity))
 }
 
 /// The variance of every pixel over `shuffles` random submission orders, the mean of its three channels'

@@ -120,10 +120,9 @@ impl Info {
     /// # Panics
     /// If the technique refuses its own defaults, which is a bug that the tests would find.
     pub fn with_defaults(&self) -> Box<dyn AnyTechnique> {
-        let view = View { near: 0.1, far: 100.0, depth_range: (1.0, 10.0) };
         let table = self.param_table();
-        let params = check(self.id, &table, &[]).map(|checked| checked.resolve(&table, &view));
-        let technique = params.and_then(|params| (self.build)(&params, &view));
+        let params = check(self.id, &table, &[]).map(|checked| checked.resolve(&table, &View::ORDINARY));
+        let technique = params.and_then(|params| (self.build)(&params, &View::ORDINARY));
         technique.unwrap_or_else(|error| panic!("the defaults of {} are refused: {error}", self.id))
     }
 }
