@@ -4,8 +4,8 @@ use super::{Options, PIECE_PIXELS, Request, bind, check_request, run_ends, with_
 use crate::error::{Error, Result};
 use crate::fragments::Fragments;
 use crate::order::SubmissionOrder;
-use crate::resolve::{Context, Resolver, Variant, VariantTally};
 use crate::params::View;
+use crate::resolve::{Context, Resolver, Variant, VariantTally};
 use crate::technique::{Batch, Cost, DepthComplexity, Resolved};
 use rayon::prelude::*;
 
