@@ -52,7 +52,7 @@ pub struct Options {
 
 impl Default for Options {
     fn default() -> Self {
-        Self { threads: None, skip: true, tile_size: 32, max_fragments: 1 << 18 }
+        Self { threads: None, skip: true, tile_size: 64, max_fragments: 1 << 18 }
     }
 }
 

@@ -78,6 +78,8 @@ pub struct Plane {
     values: [f64; 3],
     perspective: bool,
     range: (f64, f64),
+    /// The least value of each edge function, times the sign of the area, that is inside.
+    least: [f64; 3],
 }
 
 impl Plane {
@@ -86,11 +88,14 @@ impl Plane {
         let difference = |i: usize| (f64::from(v[i].x - v[0].x), f64::from(v[i].y - v[0].y));
         let (to_1, to_2) = (difference(1), difference(2));
         let z = v.map(|v| v.z);
+        let area = to_1.0 * to_2.1 - to_2.0 * to_1.1;
+        let edges = [(to_2.0 - to_1.0, to_2.1 - to_1.1), (-to_2.0, -to_2.1), to_1];
         Self {
             origin: (v[0].x, v[0].y),
             to_1,
             to_2,
-            area: to_1.0 * to_2.1 - to_2.0 * to_1.1,
+            area,
+            least: edges.map(|edge| least_inside(edge, area.signum())),
             values: if perspective { z.map(f64::recip) } else { z },
             perspective,
             range: (z[0].min(z[1]).min(z[2]), z[0].max(z[1]).max(z[2])),
@@ -98,7 +103,41 @@ impl Plane {
     }
 }
 
+/// A centre on an edge is inside if the edge is a top or left one as the triangle is walked clockwise. Edge
+/// functions are integers, so that 1/2 tells zero from what is above it.
+fn least_inside((dx, dy): (f64, f64), sign: f64) -> f64 {
+    let (dx, dy) = (dx * sign, dy * sign);
+    if dy < 0.0 || (dy == 0.0 && dx > 0.0) { 0.0 } else { 0.5 }
+}
+
 impl Plane {
+    /// Which of [`LANES`] pixels from (x, y) to the right are inside, by the top-left rule, and the depths of
+    /// them all.
+    #[inline(always)]
+    #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+    #[expect(clippy::cast_possible_truncation, reason = "fragments store depth as f32")]
+    #[expect(clippy::needless_bitwise_bool, reason = "three comparisons without branches")]
+    pub fn cover(&self, x: i32, y: i32) -> (u8, [f32; LANES]) {
+        let dx = f64::from(x * SUBPIXELS + CENTER - self.origin.0);
+        let dy = f64::from(y * SUBPIXELS + CENTER - self.origin.1);
+        let [v0, v1, v2] = self.values;
+        let sign = self.area.signum();
+        let (mut inside, mut depths) = ([false; LANES], [0.0; LANES]);
+        for lane in 0..LANES {
+            let dx = dx + STEPS[lane];
+            let l1 = dx * self.to_2.1 - dy * self.to_2.0;
+            let l2 = dy * self.to_1.0 - dx * self.to_1.1;
+            let l0 = self.area - l1 - l2;
+            inside[lane] =
+                (l0 * sign >= self.least[0]) & (l1 * sign >= self.least[1]) & (l2 * sign >= self.least[2]);
+            let sum = l0 * v0 + l1 * v1 + l2 * v2;
+            let depth = if self.perspective { self.area / sum } else { sum / self.area };
+            depths[lane] = depth.max(self.range.0).min(self.range.1) as f32;
+        }
+        let mask = inside.iter().rev().fold(0, |mask, &inside| mask << 1 | u8::from(inside));
+        (mask, depths)
+    }
+
     #[inline(always)]
     #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
     #[expect(clippy::cast_possible_truncation, reason = "fragments store depth as f32")]
@@ -188,6 +227,8 @@ impl Ray<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::random::hash32;
+    use crate::raster::cover::{Rect, doubled_area, spans};
     use crate::scene::{Camera, Projection};
 
     fn projector(projection: Projection) -> Projector {
@@ -223,6 +264,43 @@ mod tests {
                 assert!((p.depth - r.depth).abs() < 1e-5, "{p:?} {r:?}");
                 assert!((0..3).all(|i| (p.weights[i] - r.weights[i]).abs() < 1e-9), "{p:?} {r:?}");
             }
+        }
+    }
+
+    #[test]
+    fn edge_functions_cover_what_the_spans_cover() {
+        let rect = Rect { x0: 0, y0: 0, x1: 16, y1: 16 };
+        for n in 0..4000 {
+            // half the coordinates on the grid of centres, so that edges pass through them
+            let at = |k: u32| {
+                let c = (hash32(n, k, 5, 0, 0) % 4096).cast_signed();
+                if hash32(n, k, 6, 0, 0).is_multiple_of(2) { c / 128 * 128 } else { c }
+            };
+            let corner = |k: u32| ScreenVertex { x: at(k), y: at(k + 1), z: 1.0 + f64::from(k) };
+            let triangle = [corner(0), corner(2), corner(4)];
+            let points = triangle.map(|v| (v.x, v.y));
+            if doubled_area(&points) == 0 {
+                continue;
+            }
+            let (mut by_spans, mut by_edges) = ([[false; 16]; 16], [[false; 16]; 16]);
+            spans(&points, &rect, |y, x0, x1| {
+                (x0..x1)
+                    .for_each(|x| by_spans[usize::try_from(y).unwrap()][usize::try_from(x).unwrap()] = true);
+            });
+            let plane = Plane::new(&triangle, true);
+            for (y, row) in (0..).zip(&mut by_edges) {
+                for x in [0_u8, 8] {
+                    let (mask, depths) = plane.cover(x.into(), y);
+                    for (lane, depth) in depths.into_iter().enumerate() {
+                        let inside = mask >> lane & 1 == 1;
+                        let column = usize::from(x) + lane;
+                        row[column] = inside;
+                        let exact = plane.at(i32::try_from(column).unwrap(), y).depth;
+                        assert!(!inside || depth == exact);
+                    }
+                }
+            }
+            assert_eq!(by_spans, by_edges, "{points:?}");
         }
     }
 

@@ -20,6 +20,16 @@ pub struct Triangle {
     pub flat: Option<Premultiplied>,
 }
 
+impl Triangle {
+    /// The pixels of `rect` whose centres the triangle's bounding box holds; may be empty.
+    pub fn bounds(&self, rect: &Rect) -> Rect {
+        let [a, b, c] = &self.vertices;
+        let (x0, x1) = centers(a.x.min(b.x).min(c.x), a.x.max(b.x).max(c.x));
+        let (y0, y1) = centers(a.y.min(b.y).min(c.y), a.y.max(b.y).max(c.y));
+        Rect { x0: x0.max(rect.x0), y0: y0.max(rect.y0), x1: x1.min(rect.x1), y1: y1.min(rect.y1) }
+    }
+}
+
 /// What clipping left of a triangle.
 #[derive(Debug, Clone)]
 pub struct Polygon {
@@ -114,6 +124,8 @@ impl TileRange {
 
 /// Faces that are set up together, and the unit in which bins keep submission order.
 const CHUNK_FACES: usize = 16_384;
+/// Faces whose vertices are fetched before the first is used: misses of the cache then overlap.
+const GATHERED: usize = 64;
 /// Marks a bin entry as an index into the polygons.
 const POLYGON_BIT: u32 = 1 << 31;
 
@@ -211,9 +223,14 @@ impl Job<'_> {
             entries: Vec::new(),
         };
         let mut touched = Vec::with_capacity(self.faces.len());
-        for face in self.faces.clone() {
-            if let Some((entry, tiles)) = self.face(face, projector, tiling, &mut chunk) {
-                touched.push((entry, tiles));
+        let mut gathered = Vec::with_capacity(GATHERED);
+        for first in self.faces.clone().step_by(GATHERED) {
+            let faces = first..(first + GATHERED).min(self.faces.end);
+            gathered.clear();
+            let corners = |face: &[u32; 3]| face.map(|v| self.screen[v as usize]);
+            gathered.extend(self.mesh.faces()[faces.clone()].iter().map(corners));
+            for (face, vertices) in faces.zip(&gathered) {
+                touched.extend(self.face(face, vertices, projector, tiling, &mut chunk));
             }
         }
         chunk.bin(&mut touched, tiling);
@@ -225,12 +242,12 @@ impl Job<'_> {
     fn face(
         &self,
         face: usize,
+        vertices: &[ScreenVertex; 3],
         projector: &Projector,
         tiling: &Tiling,
         chunk: &mut Chunk,
     ) -> Option<(u32, TileRange)> {
-        let vertices = self.mesh.faces()[face].map(|v| self.screen[v as usize]);
-        for v in &vertices {
+        for v in vertices {
             let (lo, hi) = chunk.depth_range;
             chunk.depth_range = (lo.min(v.z), hi.max(v.z));
         }
@@ -252,7 +269,7 @@ impl Job<'_> {
             Paint::Flat(color) => Some(color),
             Paint::Varying(_) => None,
         };
-        chunk.triangles.push(Triangle { face: face as u32, light, vertices, flat });
+        chunk.triangles.push(Triangle { face: face as u32, light, vertices: *vertices, flat });
         Some(((chunk.triangles.len() - 1) as u32, tiles))
     }
 

@@ -128,16 +128,11 @@ impl Tile {
         stop: &dyn Fn() -> bool,
     ) -> bool {
         for_each_primitive(raster, &raster.transparent, tile, stop, |chunk, primitive| {
-            self.cover(primitive);
-            if self.blocks.is_empty() {
-                return true;
-            }
             let (id, surface, paint) = raster.primitive(chunk, primitive);
             let constant_depth = surface.constant_depth();
-            self.depth.clear();
-            match constant_depth {
-                Some(depth) => self.depth.resize(self.blocks.len(), [depth; LANES]),
-                None => depths(&surface, &self.rect, &self.blocks, &mut self.depth),
+            self.cover(primitive, &surface, constant_depth);
+            if self.blocks.is_empty() {
+                return true;
             }
             if !self.opaque.is_empty() {
                 self.hide();
@@ -159,10 +154,29 @@ impl Tile {
         })
     }
 
+    /// Finds the primitive's blocks and their depths.
+    fn cover(&mut self, primitive: Primitive<'_>, surface: &Surface<'_>, constant_depth: Option<f32>) {
+        self.blocks.clear();
+        self.depth.clear();
+        if let (Primitive::Triangle(triangle), Surface::Plane(plane)) = (primitive, surface) {
+            let bounds = triangle.bounds(&self.rect);
+            if bounds.x0 >= bounds.x1 || bounds.y0 >= bounds.y1 {
+                return;
+            }
+            if bounds.width() <= SMALL && bounds.height() <= SMALL {
+                return cover_small(plane, &self.rect, &bounds, &mut self.blocks, &mut self.depth);
+            }
+        }
+        self.cover_spans(primitive);
+        match constant_depth {
+            Some(depth) => self.depth.resize(self.blocks.len(), [depth; LANES]),
+            None => depths(surface, &self.rect, &self.blocks, &mut self.depth),
+        }
+    }
+
     /// Cuts the primitive's spans into blocks.
-    fn cover(&mut self, primitive: Primitive<'_>) {
+    fn cover_spans(&mut self, primitive: Primitive<'_>) {
         let (rect, blocks) = (self.rect, &mut self.blocks);
-        blocks.clear();
         primitive_spans(primitive, &rect, |y, x0, x1| {
             let mut x = x0;
             while x < x1 {
@@ -196,6 +210,35 @@ impl Tile {
                     block.mask &= !(1 << lane);
                 }
             }
+        }
+    }
+}
+
+/// Triangles no larger than this, in pixels, are tested pixel by pixel: following their edges costs more.
+const SMALL: usize = 16;
+
+/// The blocks of a small triangle: all of its bounding box, by edge functions that its depth needs anyway.
+#[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
+fn cover_small(
+    plane: &Plane,
+    rect: &Rect,
+    bounds: &Rect,
+    blocks: &mut Vec<Block>,
+    depth: &mut Vec<[f32; LANES]>,
+) {
+    for y in bounds.y0..bounds.y1 {
+        let mut x = bounds.x0;
+        while x < bounds.x1 {
+            let left = bounds.x1 - x;
+            let valid = if left < LANES_I32 { (1 << left) - 1 } else { !0 };
+            let (inside, depths) = plane.cover(x, y);
+            let mask = inside & valid;
+            if mask != 0 {
+                #[expect(clippy::cast_possible_truncation, reason = "pixels of a tile")]
+                blocks.push(Block { first: index_in(rect, x, y) as u32, mask });
+                depth.push(depths);
+            }
+            x += LANES_I32;
         }
     }
 }
