@@ -20,7 +20,7 @@ use crate::resolve::{Context, Resolver, Variant, VariantTally, nanos_since};
 use crate::scene::Scene;
 use crate::technique::{Batch, DepthComplexity, Info};
 use crate::techniques::find;
-use image::{Band, Piece, Target};
+use image::{Patch, Target};
 use rayon::prelude::*;
 use std::sync::Mutex;
 use std::time::Instant;
@@ -257,11 +257,18 @@ impl<'a> Job<'a> {
     /// Rasterises and resolves tile by tile.
     fn scene<S: Sample>(&self, raster: &Raster<'_>, mut target: Target<S>) -> Result<Finished<S>> {
         let workers = Workers::default();
+        let columns = raster.columns();
+        let places = (0..raster.rows() * columns).map(|tile| (tile % columns, tile / columns));
+        let rects = places.map(|(column, row)| raster.rect(column, row));
         let tally = target
-            .bands(self.options.tile_size)
+            .tiles(self.options.tile_size, rects)
             .into_par_iter()
             .enumerate()
-            .map(|(row, band)| self.band(raster, row, band, &workers))
+            .map(|(tile, mut patch)| {
+                let place = (tile % columns, tile / columns);
+                workers
+                    .with(|| tiles::Worker::new(self), |worker| self.tile(raster, place, &mut patch, worker))
+            })
             .reduce(|| Tally::new(self.variants.len()), |a, b| a.merge(&b));
         if (self.stop)() { Err(Error::Cancelled) } else { Ok(Finished { target, tally }) }
     }
@@ -272,8 +279,9 @@ impl<'a> Job<'a> {
         let ends = run_ends(fragments, PIECE_PIXELS, self.options.max_fragments);
         let workers = Workers::default();
         let new_worker = || (Resolver::default(), vec![Vec::new(); self.variants.len()]);
-        let run = |(first, mut band): (usize, Band<'_, S>)| {
-            let last = first + band.pixels();
+        let run = |(first, mut patch): (usize, Patch<'_, S>)| {
+            let rect = patch.rect();
+            let last = first + rect.width();
             let background: Vec<_> = (first..last).map(|i| fragments.background.at(i)).collect();
             #[expect(clippy::cast_possible_truncation, reason = "at most MAX_SIZE squared pixels")]
             let batch = Batch {
@@ -289,9 +297,7 @@ impl<'a> Job<'a> {
                 let mut tally = Tally::new(self.variants.len());
                 (first..last).for_each(|i| tally.count(rows.count(i)));
                 resolver.run(&self.context(&self.listed), &batch, 0, resolved, &mut tally.variants);
-                let mut piece = Piece::with_capacity(last - first, &self.variants);
-                resolved.iter().enumerate().for_each(|(v, pixels)| piece.append(v, pixels));
-                band.store_run(&piece);
+                resolved.iter().enumerate().for_each(|(v, pixels)| patch.store(v, &rect, 0, pixels));
                 tally
             })
         };

@@ -3,9 +3,7 @@
 use crate::error::{Error, Result};
 use crate::frame::Sample;
 use crate::raster::Rect;
-use crate::resolve::Variant;
 use crate::technique::Resolved;
-use std::ops::Range;
 
 /// One variant's images.
 #[derive(Debug, Clone)]
@@ -43,143 +41,117 @@ impl<S: Sample> Target<S> {
         Ok(Self { width, height, images: channels.iter().map(image).collect() })
     }
 
-    /// The buffers cut into bands of `rows` rows.
-    pub fn bands(&mut self, rows: u32) -> Vec<Band<'_, S>> {
-        let pixels = self.width as usize * self.height as usize;
-        let band = self.width as usize * rows as usize;
-        let ends: Vec<_> = (1..=pixels.div_ceil(band)).map(|i| (i * band).min(pixels)).collect();
-        self.runs(&ends).into_iter().map(|(_, band)| band).collect()
+    /// The buffers cut into square tiles, row by row of tiles.
+    pub fn tiles(&mut self, size: u32, rects: impl Iterator<Item = Rect>) -> Vec<Patch<'_, S>> {
+        let (width, size) = (self.width as usize, size as usize);
+        let columns = width.div_ceil(size);
+        let mut patches: Vec<_> = rects.map(|rect| Patch { rect, images: Vec::new() }).collect();
+        for image in &mut self.images {
+            for patch in &mut patches {
+                patch.images.push(PatchImage::new(image.channels, patch.rect.height()));
+            }
+            let v = patches.first().map_or(0, |patch| patch.images.len() - 1);
+            let channels = image.channels;
+            for (y, row) in image.color.chunks_mut(3 * width).enumerate() {
+                for (column, part) in row.chunks_mut(3 * size).enumerate() {
+                    patches[y / size * columns + column].images[v].color.push(part);
+                }
+            }
+            for (y, row) in image.transmittance.chunks_mut(channels * width).enumerate() {
+                for (column, part) in row.chunks_mut(channels * size).enumerate() {
+                    patches[y / size * columns + column].images[v].transmittance.push(part);
+                }
+            }
+        }
+        patches
     }
 
-    /// The buffers cut after the given ascending numbers of pixels, each part with its first pixel.
-    pub fn runs(&mut self, ends: &[usize]) -> Vec<(usize, Band<'_, S>)> {
-        let width = self.width as usize;
-        let mut rest = Band {
-            width,
-            pixels: width * self.height as usize,
-            images: self
-                .images
-                .iter_mut()
-                .map(|image| ImageSlice {
-                    color: &mut image.color,
-                    transmittance: &mut image.transmittance,
-                    channels: image.channels,
-                })
-                .collect(),
-        };
+    /// The buffers cut after the given ascending numbers of pixels, each part as one long row, with its first
+    /// pixel.
+    pub fn runs(&mut self, ends: &[usize]) -> Vec<(usize, Patch<'_, S>)> {
         let mut first = 0;
-        let mut parts = Vec::with_capacity(ends.len());
+        let mut patches = Vec::with_capacity(ends.len());
         for &end in ends {
-            let (part, tail) = rest.split(end - first);
-            parts.push((first, part));
-            rest = tail;
+            #[expect(clippy::cast_possible_truncation, clippy::cast_possible_wrap, reason = "a run is short")]
+            let rect = Rect { x0: 0, y0: 0, x1: (end - first) as i32, y1: 1 };
+            patches.push((first, Patch { rect, images: Vec::new() }));
             first = end;
         }
-        parts
+        for image in &mut self.images {
+            let (mut color, mut transmittance) = (&mut image.color[..], &mut image.transmittance[..]);
+            for (_, patch) in &mut patches {
+                let pixels = patch.rect.width();
+                let mut part = PatchImage::new(image.channels, 1);
+                let (head, tail) = color.split_at_mut(3 * pixels);
+                part.color.push(head);
+                color = tail;
+                let (head, tail) = transmittance.split_at_mut(image.channels * pixels);
+                part.transmittance.push(head);
+                transmittance = tail;
+                patch.images.push(part);
+            }
+        }
+        patches
     }
 }
 
-struct ImageSlice<'a, S> {
-    color: &'a mut [S],
-    transmittance: &'a mut [S],
+/// A rectangle of all images, to be written by one thread.
+pub struct Patch<'a, S> {
+    rect: Rect,
+    images: Vec<PatchImage<'a, S>>,
+}
+
+/// The rows of one image.
+struct PatchImage<'a, S> {
+    color: Vec<&'a mut [S]>,
+    transmittance: Vec<&'a mut [S]>,
     channels: usize,
 }
 
-/// A run of pixels of all images.
-pub struct Band<'a, S> {
-    width: usize,
-    pixels: usize,
-    images: Vec<ImageSlice<'a, S>>,
+impl<S> PatchImage<'_, S> {
+    fn new(channels: usize, rows: usize) -> Self {
+        Self { color: Vec::with_capacity(rows), transmittance: Vec::with_capacity(rows), channels }
+    }
 }
 
-impl<S: Sample> Band<'_, S> {
-    /// The number of pixels.
-    pub fn pixels(&self) -> usize {
-        self.pixels
+impl<S: Sample> Patch<'_, S> {
+    /// Which pixels they are.
+    pub fn rect(&self) -> Rect {
+        self.rect
     }
 
-    fn split(self, pixels: usize) -> (Self, Self) {
-        let (mut head, mut tail) = (Vec::new(), Vec::new());
-        for ImageSlice { color, transmittance, channels } in self.images {
-            let (c0, c1) = color.split_at_mut(3 * pixels);
-            let (t0, t1) = transmittance.split_at_mut(channels * pixels);
-            head.push(ImageSlice { color: c0, transmittance: t0, channels });
-            tail.push(ImageSlice { color: c1, transmittance: t1, channels });
-        }
-        let (width, rest) = (self.width, self.pixels - pixels);
-        (Self { width, pixels, images: head }, Self { width, pixels: rest, images: tail })
-    }
-
-    /// Stores a piece that covers the whole run.
-    pub fn store_run(&mut self, piece: &Piece<S>) {
-        for (image, (color, transmittance)) in self.images.iter_mut().zip(&piece.images) {
-            image.color.copy_from_slice(color);
-            image.transmittance.copy_from_slice(transmittance);
-        }
-    }
-
-    /// Stores a part of the image in a band of whole rows that begins with row `top`.
-    pub fn store(&mut self, rect: &Rect, top: i32, piece: &Piece<S>) {
-        for row in 0..rect.height() {
-            let to = self.row(rect, top, row);
-            let from = row * rect.width()..(row + 1) * rect.width();
-            for (image, (color, transmittance)) in self.images.iter_mut().zip(&piece.images) {
-                let channels = image.channels;
-                image.color[scaled(&to, 3)].copy_from_slice(&color[scaled(&from, 3)]);
-                image.transmittance[scaled(&to, channels)]
-                    .copy_from_slice(&transmittance[scaled(&from, channels)]);
+    /// Stores pixels of variant `v`, beginning with pixel `first` of the part `rect`, row by row.
+    pub fn store(&mut self, v: usize, rect: &Rect, first: usize, resolved: &[Resolved]) {
+        let PatchImage { color, transmittance, channels } = &mut self.images[v];
+        #[expect(clippy::cast_sign_loss, reason = "the part lies in the patch")]
+        let (left, top) = ((rect.x0 - self.rect.x0) as usize, (rect.y0 - self.rect.y0) as usize);
+        let mut rest = resolved;
+        let mut at = first;
+        while !rest.is_empty() {
+            let (row, column) = (at / rect.width(), at % rect.width());
+            let (now, later) = rest.split_at(rest.len().min(rect.width() - column));
+            let from = left + column;
+            let colors = color[top + row][3 * from..3 * (from + now.len())].as_chunks_mut::<3>().0;
+            for (to, pixel) in colors.iter_mut().zip(now) {
+                *to = pixel.color.to_array().map(S::from_f64);
             }
+            let shares = &mut transmittance[top + row][*channels * from..*channels * (from + now.len())];
+            for (to, pixel) in shares.chunks_exact_mut(*channels).zip(now) {
+                for (to, share) in to.iter_mut().zip(pixel.transmittance.to_array()) {
+                    *to = S::from_f64(share);
+                }
+            }
+            at += now.len();
+            rest = later;
         }
     }
 
-    /// Fills a tile of the band with the background.
-    pub fn clear(&mut self, rect: &Rect, background: [f32; 3]) {
+    /// Fills everything with the background.
+    pub fn clear(&mut self, background: [f32; 3]) {
         let background = background.map(|c| S::from_f64(f64::from(c)));
-        for row in 0..rect.height() {
-            let to = self.row(rect, rect.y0, row);
-            for image in &mut self.images {
-                image.color[scaled(&to, 3)].as_chunks_mut().0.fill(background);
-                image.transmittance[scaled(&to, image.channels)].fill(S::from_f64(1.0));
-            }
-        }
-    }
-
-    /// The pixels of a row of `rect`.
-    #[expect(clippy::cast_sign_loss, reason = "tiles lie in the image")]
-    fn row(&self, rect: &Rect, top: i32, row: usize) -> Range<usize> {
-        let first = ((rect.y0 - top) as usize + row) * self.width + rect.x0 as usize;
-        first..first + rect.width()
-    }
-}
-
-/// The samples of a range of pixels.
-fn scaled(pixels: &Range<usize>, channels: usize) -> Range<usize> {
-    channels * pixels.start..channels * pixels.end
-}
-
-/// Resolved pixels on their way into a band.
-pub struct Piece<S> {
-    /// Colour and transmittance per variant.
-    images: Vec<(Vec<S>, Vec<S>)>,
-    channels: Vec<usize>,
-}
-
-impl<S: Sample> Piece<S> {
-    /// An empty piece with room for so many pixels.
-    pub fn with_capacity(pixels: usize, variants: &[Variant]) -> Self {
-        let channels: Vec<_> =
-            variants.iter().map(|v| if v.technique.colored_transmittance() { 3 } else { 1 }).collect();
-        let room = |c: &usize| (Vec::with_capacity(3 * pixels), Vec::with_capacity(c * pixels));
-        Self { images: channels.iter().map(room).collect(), channels }
-    }
-
-    /// Appends pixels of variant `v`.
-    pub fn append(&mut self, v: usize, resolved: &[Resolved]) {
-        let (color, transmittance) = &mut self.images[v];
-        for pixel in resolved {
-            color.extend(pixel.color.to_array().map(S::from_f64));
-            let share = pixel.transmittance.to_array().map(S::from_f64);
-            transmittance.extend_from_slice(&share[..self.channels[v]]);
+        for image in &mut self.images {
+            image.color.iter_mut().for_each(|row| row.as_chunks_mut().0.fill(background));
+            image.transmittance.iter_mut().for_each(|row| row.fill(S::from_f64(1.0)));
         }
     }
 }

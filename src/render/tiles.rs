@@ -1,15 +1,14 @@
 //! From tiles to pixels: each tile's transparent fragments go into sums, into lists or both, and from there
 //! through the techniques.
 
-use super::image::{Band, Piece};
-use super::{Job, Tally, Workers};
+use super::image::Patch;
+use super::{Job, Tally};
 use crate::fragments::Lists;
 use crate::frame::Sample;
 use crate::raster::{Cover, Raster, Rect, Sink, Tile, TileLists};
 use crate::resolve::{Resolver, nanos_since};
 use crate::stream::TileSums;
 use crate::technique::{Batch, Resolved};
-use rayon::prelude::*;
 use std::time::Instant;
 
 /// Fragments that are shaded, sorted and resolved at a time: few enough to stay in the cache.
@@ -54,55 +53,25 @@ impl<'r> Sink<'r> for Collector<'_, 'r, '_> {
     }
 }
 
-/// A resolved part of a tile.
-type Part<S> = (Rect, Piece<S>);
-
 impl Job<'_> {
-    /// One row of tiles.
-    pub(super) fn band<'r, 'v, S: Sample>(
-        &'v self,
-        raster: &'r Raster<'_>,
-        row: usize,
-        mut band: Band<'_, S>,
-        workers: &Workers<Worker<'r, 'v>>,
-    ) -> Tally {
-        let tiles: Vec<_> = (0..raster.columns())
-            .into_par_iter()
-            .map(|column| {
-                workers.with(|| Worker::new(self), |worker| self.tile(raster, (column, row), worker))
-            })
-            .collect();
-        let mut tally = Tally::new(self.variants.len());
-        for (column, (parts, tile_tally)) in tiles.iter().enumerate() {
-            let tile = raster.rect(column, row);
-            if parts.is_empty() {
-                band.clear(&tile, raster.background());
-            }
-            for (rect, piece) in parts {
-                band.store(rect, tile.y0, piece);
-            }
-            tally = tally.merge(tile_tally);
-        }
-        tally
-    }
-
-    /// One tile's pixels; none where the background shows alone.
-    fn tile<'r, S: Sample>(
+    /// One tile's pixels.
+    pub(super) fn tile<'r, S: Sample>(
         &self,
         raster: &'r Raster<'_>,
         tile: (usize, usize),
+        patch: &mut Patch<'_, S>,
         worker: &mut Worker<'r, '_>,
-    ) -> (Vec<Part<S>>, Tally) {
+    ) -> Tally {
         let mut tally = Tally::new(self.variants.len());
-        let mut parts = Vec::new();
-        let rect = raster.rect(tile.0, tile.1);
+        let rect = patch.rect();
         if self.options.skip && raster.is_empty_tile(tile.0, tile.1) {
             tally.empty_tiles = 1;
             tally.empty_pixels = rect.area() as u64;
+            patch.clear(raster.background());
         } else {
-            self.part(raster, tile, rect, worker, &mut parts, &mut tally);
+            self.part(raster, tile, rect, worker, patch, &mut tally);
         }
-        (parts, tally)
+        tally
     }
 
     /// A part of a tile: as it is or, if it is too deep for the budget, in halves.
@@ -112,7 +81,7 @@ impl Job<'_> {
         tile: (usize, usize),
         rect: Rect,
         worker: &mut Worker<'r, '_>,
-        parts: &mut Vec<Part<S>>,
+        patch: &mut Patch<'_, S>,
         tally: &mut Tally,
     ) {
         let start = Instant::now();
@@ -133,7 +102,7 @@ impl Job<'_> {
         let finished = drawn.transparent(raster, tile, &mut collector, self.stop);
         if lists_wanted && lists.is_over_budget() {
             for half in rect.halves() {
-                self.part(raster, tile, half, worker, parts, tally);
+                self.part(raster, tile, half, worker, patch, tally);
             }
             return;
         }
@@ -147,19 +116,23 @@ impl Job<'_> {
             lists.distribute();
         }
         tally.raster_nanos += nanos_since(start);
-        let mut piece = Piece::with_capacity(rect.area(), &self.variants);
-        self.finish_sums(worker, &mut piece, tally);
-        self.resolve_lists(rect, worker, &mut piece, tally);
-        parts.push((rect, piece));
+        self.finish_sums(&rect, worker, patch, tally);
+        self.resolve_lists(rect, worker, patch, tally);
     }
 
-    fn finish_sums<S: Sample>(&self, worker: &mut Worker<'_, '_>, piece: &mut Piece<S>, tally: &mut Tally) {
+    fn finish_sums<S: Sample>(
+        &self,
+        rect: &Rect,
+        worker: &mut Worker<'_, '_>,
+        patch: &mut Patch<'_, S>,
+        tally: &mut Tally,
+    ) {
         let Worker { tile, sums, resolved, .. } = worker;
         for (i, &v) in self.streamed.iter().enumerate() {
             let (nanos, streaming) = sums.finish(i, tile.background(), &mut resolved[v]);
             tally.variants[v].nanos += nanos;
             tally.streaming_nanos += streaming;
-            piece.append(v, &resolved[v]);
+            patch.store(v, rect, 0, &resolved[v]);
         }
     }
 
@@ -168,7 +141,7 @@ impl Job<'_> {
         &self,
         rect: Rect,
         worker: &mut Worker<'_, '_>,
-        piece: &mut Piece<S>,
+        patch: &mut Patch<'_, S>,
         tally: &mut Tally,
     ) {
         if self.listed.is_empty() {
@@ -208,7 +181,7 @@ impl Job<'_> {
             };
             resolver.run(&self.context(&self.listed), &batch, sort_nanos, resolved, &mut tally.variants);
             for &v in &self.listed {
-                piece.append(v, &resolved[v]);
+                patch.store(v, &rect, first, &resolved[v]);
             }
             first = last;
         }
