@@ -56,6 +56,10 @@ impl Default for Options {
     }
 }
 
+/// Bytes of state that a technique may keep per pixel: sizes have no limit but memory, and a failed allocation
+/// would end the process.
+const LARGEST_STATE: f64 = (1_u64 << 30) as f64;
+
 /// Pixels of a captured image that are resolved together, at most.
 const PIECE_PIXELS: usize = 4096;
 
@@ -113,6 +117,13 @@ fn check_request(request: &Request) -> Result<(&'static Info, Checked)> {
 fn bind(info: &'static Info, checked: &Checked, view: &View) -> Result<Variant> {
     let params = checked.resolve(&info.param_table(), view);
     let technique = (info.build)(&params, view)?;
+    let state = technique.cost(&DepthComplexity { mean: 1.0, max: 1 }).bytes_per_pixel;
+    if state > LARGEST_STATE {
+        return Err(Error::Memory(format!(
+            "{} under these params: it keeps {state:e} bytes per pixel",
+            info.id
+        )));
+    }
     let seed = u64::try_from(params.int("seed")).unwrap_or(0);
     let order = SubmissionOrder::from_name(params.text("submission_order"), seed);
     Ok(Variant { info, params, technique, order })

@@ -74,7 +74,8 @@ impl Cost {
 /// What a technique promises under its params; tests check every claim.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Properties {
-    /// The image does not depend on submission order (beyond the rounding of float sums).
+    /// The image does not depend on submission order, beyond the rounding of float sums. Where an
+    /// ill-conditioned reconstruction follows (moments of near-coincident depths), that rounding may be seen.
     pub order_independent: bool,
     /// The expected image is the exact one.
     pub unbiased: bool,

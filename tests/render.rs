@@ -146,6 +146,28 @@ fn errors_come_before_any_work() {
 }
 
 #[test]
+fn sizes_beyond_memory_are_an_error() {
+    let scene = mixed_scene();
+    for (id, param) in [
+        ("density_clustering", "bins"),
+        ("fourier_opacity_maps", "frequencies"),
+        ("tfm", "frequencies"),
+        ("stochastic_transparency", "samples"),
+        ("mlcb", "bits"),
+        ("opacity_shadow_maps", "bins"),
+        ("occupancy_maps", "bits"),
+    ] {
+        let requests = [request(id, &[(param, Input::Int(1_000_000_000_000))])];
+        let result = render::<f32>(Source::Scene(&scene), &requests, &Options::default(), &|| false);
+        assert!(matches!(&result, Err(Error::Memory(what)) if what.contains(id)), "{id}");
+    }
+    let coverage = [("opacity", Input::Text("coverage".into())), ("bits", Input::Int(1_000_000_000_000))];
+    let requests = [request("continuum", &coverage)];
+    let result = render::<f32>(Source::Scene(&scene), &requests, &Options::default(), &|| false);
+    assert!(matches!(result, Err(Error::Memory(_))));
+}
+
+#[test]
 fn stopping_stops() {
     let scene = mixed_scene();
     for after in [0, 1, 5, 20] {

@@ -123,7 +123,8 @@ def order_sensitivity(
     -------
     (H, W) float64
         Per pixel the unbiased variance of linear RGB over the shuffles, averaged over the channels. Zero up
-        to the rounding of sums for an order-independent technique.
+        to the rounding of sums for an order-independent technique; techniques that reconstruct from moments
+        amplify that rounding where depths nearly coincide.
 
     Raises
     ------

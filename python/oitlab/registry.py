@@ -50,7 +50,11 @@ class TechniqueInfo:
     axes: Mapping[str, str]
     """Its choices on the continuum: memory, insertion, merge, normalize, opacity."""
     properties: Mapping[str, Any]
-    """What its image guarantees: order_independent, unbiased, consistent, ..."""
+    """What its image guarantees under default params: order_independent, unbiased, consistent, ...
+
+    "Order independent" is meant up to the rounding of float32 sums, which moments of near-coincident depths
+    (`mboit_power`, `mboit_trig`) can amplify into something visible.
+    """
     params: tuple[ParamInfo, ...]
     backends: tuple[str, ...]
     geometry_passes: str
