@@ -58,7 +58,7 @@ impl Default for Options {
 
 /// Bytes of state that a technique may keep per pixel: sizes have no limit but memory, and a failed allocation
 /// would end the process.
-const LARGEST_STATE: f64 = (1_u64 << 30) as f64;
+const LARGEST_STATE: f64 = 1_073_741_824.0;
 
 /// Pixels of a captured image that are resolved together, at most.
 const PIECE_PIXELS: usize = 4096;
