@@ -4,6 +4,9 @@ use crate::params::Params;
 
 /// A sample type of images.
 pub trait Sample: Copy + Send + Sync + Default + 'static {
+    /// Whether a pixel may be answered by a shortcut that is within two units of this type's last place.
+    const SHORTCUTS: bool;
+
     /// The nearest sample; values beyond the type's range become its largest finite value.
     fn from_f64(value: f64) -> Self;
     /// Wraps a buffer of samples.
@@ -11,6 +14,8 @@ pub trait Sample: Copy + Send + Sync + Default + 'static {
 }
 
 impl Sample for f32 {
+    const SHORTCUTS: bool = true;
+
     #[expect(clippy::cast_possible_truncation, reason = "rounding to the sample type is the point")]
     fn from_f64(value: f64) -> Self {
         value.clamp(f64::from(f32::MIN), f64::from(f32::MAX)) as f32
@@ -21,6 +26,9 @@ impl Sample for f32 {
 }
 
 impl Sample for f64 {
+    // techniques keep their state in f32, which a shortcut would go around
+    const SHORTCUTS: bool = false;
+
     fn from_f64(value: f64) -> Self {
         value
     }

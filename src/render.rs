@@ -81,13 +81,13 @@ pub fn render<S: Sample>(
             checked.iter().try_for_each(|(info, checked)| bind(info, checked, &provisional).map(drop))?;
             let raster = Raster::new(scene, options.tile_size, stop);
             let setup_nanos = nanos_since(start);
-            let job = Job::new(source, &raster.view(), &checked, options, stop)?;
+            let job = Job::new::<S>(source, &raster.view(), &checked, options, stop)?;
             let finished = job.scene::<S>(&raster, job.target(scene.width(), scene.height())?)?;
             let wall_nanos = nanos_since(start);
             Ok(job.frames(finished, &Clock { setup_nanos, wall_nanos, threads }))
         }
         Source::Fragments(fragments) => {
-            let job = Job::new(source, &fragments.view, &checked, options, stop)?;
+            let job = Job::new::<S>(source, &fragments.view, &checked, options, stop)?;
             let target = job.target(fragments.width, fragments.height)?;
             let finished = job.fragments::<S>(fragments, target)?;
             let wall_nanos = nanos_since(start);
@@ -140,6 +140,8 @@ struct Job<'a> {
     answers: Vec<(usize, Params)>,
     centroids: Option<CentroidOrder>,
     options: &'a Options,
+    /// Whether pixels may be answered without the technique.
+    shortcuts: bool,
     stop: &'a (dyn Fn() -> bool + Sync),
     /// Wall time spent on centroids and their order.
     centroid_nanos: u64,
@@ -216,7 +218,7 @@ impl<T> Workers<T> {
 }
 
 impl<'a> Job<'a> {
-    fn new(
+    fn new<S: Sample>(
         source: Source<'_>,
         view: &View,
         checked: &[(&'static Info, Checked)],
@@ -247,7 +249,8 @@ impl<'a> Job<'a> {
             Source::Fragments(fragments) => fragments.centroid_order(),
         });
         let centroid_nanos = nanos_since(start);
-        Ok(Self { variants, streamed, listed, answers, centroids, options, stop, centroid_nanos })
+        let shortcuts = options.skip && S::SHORTCUTS;
+        Ok(Self { variants, streamed, listed, answers, centroids, options, shortcuts, stop, centroid_nanos })
     }
 
     fn context<'b>(&'b self, selected: &'b [usize]) -> Context<'b> {
@@ -255,7 +258,7 @@ impl<'a> Job<'a> {
             variants: &self.variants,
             selected,
             centroids: self.centroids.as_ref(),
-            skip: self.options.skip,
+            shortcuts: self.shortcuts,
             stop: self.stop,
         }
     }

@@ -74,8 +74,8 @@ pub struct Context<'a> {
     pub selected: &'a [usize],
     /// The primitives by centroid, where a variant asks for that order.
     pub centroids: Option<&'a CentroidOrder>,
-    /// Whether shortcuts may be taken.
-    pub skip: bool,
+    /// Whether pixels may be answered without the technique.
+    pub shortcuts: bool,
     /// Says whether to stop.
     pub stop: &'a (dyn Fn() -> bool + Sync),
 }
@@ -211,7 +211,7 @@ fn run_variant(
 ) {
     let technique = &*variant.technique;
     // sums that may have been streamed cannot be cut short either, and a capture is to give their bits
-    let shortcut = context.skip && technique.properties().exact_for_one && technique.blended().is_none();
+    let shortcut = context.shortcuts && technique.properties().exact_for_one && technique.blended().is_none();
     pixels.clear();
     for (i, out) in out.iter_mut().enumerate() {
         match batch.lists.count(i) {

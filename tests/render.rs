@@ -91,6 +91,18 @@ fn shortcuts_change_two_ulps_at_most_for_every_technique() {
 }
 
 #[test]
+fn nothing_is_cut_short_in_double_precision() {
+    let scene = mixed_scene();
+    let run = |skip| {
+        let options = Options { skip, ..Options::default() };
+        render::<f64>(Source::Scene(&scene), &all_techniques(), &options, &|| false).unwrap()
+    };
+    for (a, b) in run(true).iter().zip(&run(false)) {
+        assert!(a.color == b.color, "{}", a.technique);
+    }
+}
+
+#[test]
 fn equal_variants_are_computed_once() {
     let scene = mixed_scene();
     // weight_k does not act with mb7, so the first two are one variant

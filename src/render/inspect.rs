@@ -110,7 +110,7 @@ pub fn order_sensitivity(
     }
     let selected: Vec<_> = (0..shuffles).collect();
     let context =
-        Context { variants: &variants, selected: &selected, centroids: None, skip: options.skip, stop };
+        Context { variants: &variants, selected: &selected, centroids: None, shortcuts: options.skip, stop };
     with_threads(options.threads, |_| {
         let budget = options.max_fragments / shuffles;
         let ends = run_ends(fragments, PIECE_PIXELS / 16, budget.max(1));
