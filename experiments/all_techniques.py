@@ -3,7 +3,8 @@
 The meshes have opacity 0.35 and the framing of `oitlab.load`. What is measured is what `oitlab compare`
 prints: RMSE and largest error of linear RGB against the exact image, by what factor the MSE is smaller than
 wboit's [Friederichs2021], milliseconds that the technique itself took on the fragments, and the bytes per
-pixel and geometry passes of a streaming GPU implementation.
+pixel and geometry passes of a streaming GPU implementation. Techniques whose image depends on the order of
+submission are measured in the order of the file and in a random one: a file may be sorted by luck.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import math
 import os
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -35,21 +37,27 @@ SHEETS = ("blades", "engine")
 """Scenes whose pictures and error maps are kept."""
 AS_EXACT = 1e-6
 """An RMSE from here on down is float32's rounding."""
+NOT_DRAWN = ("a_buffer", "painter", "depth_peeling", "dual_depth_peeling", "deep_shadow_maps", "continuum")
+"""What sorts, stores everything, takes a pass per layer, or is another technique by default."""
 
 
 def main() -> None:
     """Measure, plot, write the tables."""
     study = Study.from_command_line("all_techniques", __doc__)
-    size = (160, 90) if study.quick else (1280, 720)
-    techniques = [(name, {}) for name in oitlab.techniques().ids]
+    size = (160, 90) if study.quick else (640, 360)
+    defaults = [(name, {}) for name in oitlab.techniques().ids]
+    ordered = [name for name, _ in defaults if not oitlab.techniques()[name].properties["order_independent"]]
+    variants = [*defaults, *((name, {"submission_order": "shuffled"}) for name in ordered)]
     measured = []
     for name, command, scene in _scenes(*size):
-        comparison = compare_techniques(scene, techniques)
+        comparison = compare_techniques(scene, variants)
         title = headline(comparison, name)
         measured.append({"scene": name, "command": command, "headline": title, "rows": _rows(comparison)})
         if name in SHEETS:
             path = study.folder / f"{name.lower()}.png"
-            write_contact_sheet(path, comparison, title, columns=6, cell_width=256)
+            n = len(defaults)
+            first = replace(comparison, rows=comparison.rows[:n], frames=comparison.frames[:n])
+            write_contact_sheet(path, first, title, columns=6, cell_width=320)
         print(title, file=sys.stderr)
     plot_style()
     study.save_figure(_factors(measured), "factors.png")
@@ -79,7 +87,7 @@ def _scenes(width: int, height: int) -> Iterator[tuple[str, str, oitlab.Scene]]:
 def _rows(comparison: Comparison) -> list[dict[str, Any]]:
     return [
         {
-            "technique": row.label,
+            "technique": row.label.replace(" submission_order=", ", "),
             "rmse": row.rmse,
             "max_error": row.max_error,
             "factor": None if _is_exact(row) else row.factor,
@@ -164,18 +172,21 @@ def _error_against_memory(measured: list[dict[str, Any]]) -> Any:
     for place in axes.flat[len(measured) :]:
         place.set_visible(False)
     for place, entry in zip(axes.flat, measured, strict=False):
-        points = [(r["bytes_per_pixel"], max(r["rmse"], AS_EXACT), r["technique"]) for r in entry["rows"]]
+        rows = [r for r in entry["rows"] if r["technique"] not in NOT_DRAWN and "," not in r["technique"]]
+        points = [(r["bytes_per_pixel"], max(r["rmse"], AS_EXACT), r["technique"]) for r in rows]
         front = _front(points)
         for memory, error, name in points:
             best = (memory, error, name) in front
             place.plot(memory, error, "o", ms=4 if best else 3, color=BLUE if best else GREY)
-        for memory, error, name in front:
-            offset, align = ((-4, 3), "right") if memory > 100 else ((4, 3), "left")
-            place.annotate(name, (memory, error), offset, textcoords="offset points", fontsize=6.5, ha=align)
+        for place_in_front, (memory, error, name) in enumerate(front):
+            offset = (4, 3) if place_in_front % 2 else (-2, -9)
+            align = "right" if memory > 60 else "left"
+            text = {"textcoords": "offset points", "fontsize": 6, "ha": align}
+            place.annotate(name, (memory, error), offset, **text)
         wboit = next(point for point in points if point[2] == "wboit")
         place.plot(*wboit[:2], "s", ms=4, color=ORANGE)
         place.set(title=entry["scene"], xscale="log", yscale="log")
-        place.set_xlim(min(p[0] for p in points) / 1.4, max(p[0] for p in points) * 1.4)
+        place.set_xlim(6, 500)
     figure.supxlabel(f"bytes per pixel; orange: wboit; RMSE below {AS_EXACT:g} drawn there", fontsize=8)
     figure.supylabel("RMSE, linear RGB (1 = white)", fontsize=8)
     return figure
