@@ -187,6 +187,7 @@ def _error_against_memory(measured: list[dict[str, Any]]) -> Any:
         place.plot(*wboit[:2], "s", ms=4, color=ORANGE)
         place.set(title=entry["scene"], xscale="log", yscale="log")
         place.set_xlim(6, 500)
+        place.margins(y=0.12)
     figure.supxlabel(f"bytes per pixel; orange: wboit; RMSE below {AS_EXACT:g} drawn there", fontsize=8)
     figure.supylabel("RMSE, linear RGB (1 = white)", fontsize=8)
     return figure
