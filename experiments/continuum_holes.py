@@ -73,7 +73,7 @@ GROUPS: dict[str, tuple[list[Entry], list[Entry]]] = {
         [
             *(
                 hole("discard_furthest", normalize="tail", weight=w)
-                for w in ("mb7", "mb10", "inv_pow", "i3d16")
+                for w in ("mb7", "mb9", "mb10", "inv_pow", "i3d16")
             ),
             WEIGHTED_TAIL,
         ],

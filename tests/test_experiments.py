@@ -11,6 +11,10 @@ from typing import Any
 
 import pytest
 
+import oitlab
+from oitlab import cli
+
+FIVE_SCENES = ["squares", "soup", "shells", "smoke", "blades"]
 EXPERIMENTS = Path(__file__).parents[1] / "experiments"
 PNG = b"\x89PNG\r\n\x1a\n"
 
@@ -46,6 +50,16 @@ def results(name: str, folder: Path) -> dict[str, Any]:
 @pytest.fixture(scope="module")
 def figure8(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     return results("fee21_figure8", tmp_path_factory.mktemp("fee21_figure8"))
+
+
+@pytest.fixture(scope="module")
+def everything(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    return results("all_techniques", tmp_path_factory.mktemp("all_techniques"))
+
+
+@pytest.fixture(scope="module")
+def holes(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    return results("continuum_holes", tmp_path_factory.mktemp("continuum_holes"))
 
 
 @pytest.fixture(scope="module")
@@ -116,3 +130,52 @@ def test_seams(partition: dict[str, Any]) -> None:
         if entry["scene"] == "one tilt":
             assert seam["SND (all of FEE21)"] < 1e-4
             assert seam["absorbance, shaped"] < 1e-4
+
+
+def test_every_technique_is_in_the_table_of_all(everything: dict[str, Any]) -> None:
+    names = oitlab.techniques().ids
+    assert [entry["scene"] for entry in everything["scenes"]][:5] == FIVE_SCENES
+    for entry in everything["scenes"]:
+        rows = {row["technique"]: row for row in entry["rows"]}
+        assert tuple(rows)[: len(names)] == names
+        assert rows["wboit"]["factor"] == 1.0
+        for exact in ("a_buffer", "depth_peeling", "dual_depth_peeling"):
+            assert rows[exact]["factor"] is None
+            assert rows[exact]["rmse"] <= 1e-6
+        assert all(row["rmse"] <= row["max_error"] for row in rows.values())
+        assert rows["mlab, shuffled"]["bytes_per_pixel"] == rows["mlab"]["bytes_per_pixel"] == 32.0
+        assert "a_buffer, shuffled" not in rows
+
+
+def test_the_command_that_the_table_of_all_gives_is_the_same(
+    everything: dict[str, Any], capsys: pytest.CaptureFixture[str]
+) -> None:
+    entry = everything["scenes"][4]
+    program, *arguments = entry["command"].split()
+    assert program == "oitlab"
+    assert cli.main([*arguments, "--techniques", "mlab"]) == 0
+    rmse = next(row["rmse"] for row in entry["rows"] if row["technique"] == "mlab")
+    assert f"{rmse:.3g}" in capsys.readouterr().out
+
+
+def test_missing_meshes_are_named_and_left_out(tmp_path: Path) -> None:
+    finished = run("all_techniques", tmp_path / "out", OITLAB_DATA=str(tmp_path))
+    assert finished.returncode == 0
+    assert "left out: Sponza" in finished.stderr
+    found = json.loads((tmp_path / "out" / "results.json").read_text())
+    assert [entry["scene"] for entry in found["scenes"]] == FIVE_SCENES
+
+
+def test_two_holes_beat_their_published_neighbours(holes: dict[str, Any]) -> None:
+    ratios = {row["label"]: row["ratio"] for group in holes["groups"] for row in group["holes"]}
+    for label in ("smallest_error", "discard_furthest, tail, weight=smoke6"):
+        assert ratios[label].keys() == set(FIVE_SCENES) - {"squares"}
+        assert all(ratio < 0.98 for ratio in ratios[label].values())
+    assert min(ratios["over_furthest, second pass, global"].values()) > 1.5
+
+
+def test_holes_converge_like_what_is_published(holes: dict[str, Any]) -> None:
+    for sweep in holes["sweeps"]:
+        assert sweep["layers"] == [1, 2, 4, 8, 16]
+        for errors in sweep["rmse"].values():
+            assert errors[-1] < 0.3 * errors[0]
