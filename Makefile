@@ -5,7 +5,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 RUST_SOURCES := $(shell find src shaders -name '*.rs' -o -name '*.wgsl') Cargo.toml Cargo.lock
 
-.PHONY: demo test test-rust test-python check bench develop format clean readme golden
+.PHONY: demo test test-rust test-python check bench bench-full develop format clean readme golden
 
 demo: develop
 	$(BIN)/oitlab demo --output out/demo
@@ -27,8 +27,12 @@ check: develop
 	$(BIN)/mypy
 	$(BIN)/python -m mypy.stubtest oitlab._oitlab --ignore-disjoint-bases
 
+# Peers are found in OITLAB_PEER_PYTHON, an interpreter with benches/requirements-peers.txt, and skipped where absent.
 bench: develop
-	$(BIN)/python benches/bench.py
+	$(BIN)/python benches/bench.py peers skips
+
+bench-full: develop
+	$(BIN)/python benches/bench.py --huge
 
 format:
 	cargo fmt

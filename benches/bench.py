@@ -1,83 +1,60 @@
-"""`make bench`: whole calls from Python to NumPy array, on the five procedural scenes.
+"""`make bench` and `make bench-full`: how fast oitlab is, against others, and how its time grows.
 
-Every number of a run comes from the same minutes on the same machine: compare ratios, not milliseconds of
-different days. The techniques of a scene take turns within each repetition, so that a busy moment hits all.
+    python benches/bench.py peers skips          # what `make bench` runs
+    python benches/bench.py                      # all parts
+    python benches/bench.py pareto --quick       # small images, one repetition: shows that it works
+
+Numbers are whole calls from Python to NumPy array. Compare ratios of one run, not milliseconds of different
+days.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
-import statistics
-import time
+import importlib
+import os
+import sys
 from pathlib import Path
-from typing import Any
 
-import oitlab
-from oitlab._provenance import provenance
+from harness import Run
+from peers import PEERS
 
-SCENES = ("squares", "soup", "smoke", "shells", "blades")
-TECHNIQUES = ("wboit", "painter", "lwboit", "a_buffer")
-
-
-def milliseconds(scene: oitlab.Scene, technique: str) -> float:
-    """Time one whole call."""
-    start = time.perf_counter()
-    oitlab.render(scene, technique)
-    return (time.perf_counter() - start) * 1e3
-
-
-def bench(scene: oitlab.Scene, repeats: int) -> dict[str, Any]:
-    """Measure all techniques on one scene."""
-    frames = {name: oitlab.render(scene, name) for name in TECHNIQUES}  # warms up, too
-    times: dict[str, list[float]] = {name: [] for name in TECHNIQUES}
-    for _ in range(repeats):
-        for name in TECHNIQUES:
-            times[name].append(milliseconds(scene, name))
-    exact = frames["a_buffer"]
-    return {
-        "fragments": exact.stats.fragments,
-        "depth_complexity_mean": exact.stats.depth_complexity_mean,
-        "depth_complexity_max": exact.stats.depth_complexity_max,
-        "threads": exact.stats.threads,
-        "techniques": {
-            name: {
-                "median_ms": statistics.median(times[name]),
-                "min_ms": min(times[name]),
-                "max_ms": max(times[name]),
-                "rmse": oitlab.compare(frames[name], exact)["rmse"],
-            }
-            for name in TECHNIQUES
-        },
-    }
-
-
-def report(results: dict[str, Any]) -> str:
-    """Lay out the table: milliseconds, and how many times the time of wboit that is."""
-    lines = [f"{'scene':8} {'fragments':>11}  " + "".join(f"{name:>22}" for name in TECHNIQUES)]
-    for scene, row in results.items():
-        times = {name: row["techniques"][name]["median_ms"] for name in TECHNIQUES}
-        cells = (f"{times[name]:11.1f} ms ({times[name] / times['wboit']:4.1f}x)" for name in TECHNIQUES)
-        lines.append(f"{scene:8} {row['fragments']:11,}  " + "".join(f"{cell:>22}" for cell in cells))
-    return "\n".join(lines)
+PARTS = {"peers": "against_peers", "pareto": "pareto", "scaling": "scaling", "skips": "skips"}
 
 
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("parts", nargs="*", help=f"of {', '.join(PARTS)} (default: all)")
     parser.add_argument("--quick", action="store_true", help="small images, one repetition")
-    parser.add_argument("--output", type=Path, default=Path("out/bench.json"))
-    options = parser.parse_args()
-    size = {"width": 160, "height": 90} if options.quick else {}
-    results = {name: bench(oitlab.scenes.SCENES[name](**size), 1 if options.quick else 7) for name in SCENES}
-    options.output.parent.mkdir(parents=True, exist_ok=True)
-    about = {"command": "make bench", **provenance()}
-    options.output.write_text(json.dumps({"about": about, "scenes": results}, indent=1) + "\n")
-    print(report(results))
-    print(
-        "medians of whole calls; the bracket is the ratio to wboit in the same run; "
-        f"written: {options.output}"
+    parser.add_argument("--huge", action="store_true", help="scaling up to 3e8 fragments and 1e7 triangles")
+    parser.add_argument("--repeats", type=int, help="timed frames (default 7, quick 1)")
+    parser.add_argument("--output", type=Path, default=Path("out/bench"), help="folder (default %(default)s)")
+    parser.add_argument("--peers", nargs="*", default=list(PEERS), choices=PEERS, metavar="PEER",
+                        help=f"of {', '.join(PEERS)} (default: all that are installed)")  # fmt: skip
+    parser.add_argument("--peer-python", default=os.environ.get("OITLAB_PEER_PYTHON", sys.executable),
+                        help="who has the peers (default $OITLAB_PEER_PYTHON, or this one)")  # fmt: skip
+    parser.add_argument(
+        "--budget", type=float, default=20.0, help="seconds of timed frames per peer and mode"
     )
+    parser.add_argument("--timeout", type=float, default=120.0, help="seconds after which a peer is given up")
+    options = parser.parse_args()
+    if unknown := set(options.parts) - PARTS.keys():
+        parser.error(f"no part named {', '.join(sorted(unknown))}; the parts are {', '.join(PARTS)}")
+    run = Run(
+        options.output,
+        quick=options.quick,
+        huge=options.huge,
+        repeats=options.repeats or (1 if options.quick else 7),
+        peer_python=options.peer_python,
+        peers=tuple(options.peers),
+        budget=options.budget,
+        timeout=options.timeout,
+    )
+    for part in options.parts or PARTS:
+        print(f"# {part}\n", flush=True)
+        importlib.import_module(PARTS[part]).main(run)
+    print(f"written: {options.output}")
 
 
 if __name__ == "__main__":

@@ -1,0 +1,106 @@
+"""Error against time: every technique of the registry, default params, on the five scenes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from harness import SCENES, Run, markdown_table, plot_style, scene, three_digits, timed
+
+import oitlab
+
+SLOW = 20
+"""Times the cost of wboit per fragment beyond which a technique owes a reason."""
+
+
+def front(points: dict[str, tuple[float, float]]) -> list[str]:
+    """Names of the points (time, error) that none other beats in one and equals or beats in the other."""
+    best, found = float("inf"), []
+    for name, (_, error) in sorted(points.items(), key=lambda item: item[1]):
+        if error < best:
+            best = error
+            found.append(name)
+    return found
+
+
+def on_scene(name: str, run: Run) -> dict[str, Any]:
+    """Times and errors of all techniques on one scene, and who is on the front."""
+    what = scene(name, run)
+    exact = oitlab.render(what, "a_buffer", dtype="float64")
+    names = [technique.id for technique in oitlab.techniques()]
+    times = timed({n: lambda n=n: oitlab.render(what, n) for n in names}, min(run.repeats, 3))
+    fragments = exact.stats.fragments
+    rows = {}
+    for n in names:
+        rows[n] = {
+            **times[n],
+            "ns_per_fragment": 1e6 * times[n]["median_ms"] / fragments,
+            "times_wboit": times[n]["median_ms"] / times["wboit"]["median_ms"],
+            "rmse": oitlab.compare(oitlab.render(what, n), exact)["rmse"],
+        }
+    on_front = front({n: (row["median_ms"], row["rmse"]) for n, row in rows.items()})
+    return {
+        "fragments": fragments,
+        "threads": exact.stats.threads,
+        "techniques": rows,
+        "pareto_front": on_front,
+    }
+
+
+def main(run: Run) -> None:
+    """Measure, and write pareto.json, pareto.md and pareto.png."""
+    results = {name: on_scene(name, run) for name in SCENES}
+    draw(results, run)
+    run.save("pareto", {"scenes": results}, tables(results))
+
+
+def tables(results: dict[str, Any]) -> str:
+    """RMSE and milliseconds, then nanoseconds per fragment; bold names a member of the front."""
+    names = list(next(iter(results.values()))["techniques"])
+    accuracy = [[n, *(_accuracy(row, n) for row in results.values())] for n in names]
+    costs = [[n, *(_cost(row["techniques"][n]) for row in results.values())] for n in names]
+    return "\n\n".join(
+        [
+            "RMSE against the float64 exact image, and milliseconds; bold: on the Pareto front.",
+            markdown_table(["technique", *results], accuracy),
+            f"Nanoseconds per fragment of the whole call, and times wboit; bold: over {SLOW} times wboit.",
+            markdown_table(["technique", *results], costs),
+        ]
+    )
+
+
+def _accuracy(row: dict[str, Any], name: str) -> str:
+    found = row["techniques"][name]
+    text = f"{found['rmse']:.1e}, {three_digits(found['median_ms'])}"
+    return f"**{text}**" if name in row["pareto_front"] else text
+
+
+def _cost(found: dict[str, float]) -> str:
+    text = f"{three_digits(found['ns_per_fragment'])} ({found['times_wboit']:.1f}x)"
+    return f"**{text}**" if found["times_wboit"] > SLOW else text
+
+
+def draw(results: dict[str, Any], run: Run) -> None:
+    """One panel per scene: all techniques, the front joined and named, floating-point noise drawn at 1e-7."""
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    import matplotlib.pyplot as plt
+
+    plot_style()
+    figure, panels = plt.subplots(2, 3, figsize=(11, 7))
+    for axes, (name, row) in zip(panels.flat, results.items(), strict=False):
+        found = row["techniques"]
+        spots = {n: (found[n]["median_ms"], max(found[n]["rmse"], 1e-7)) for n in found}
+        axes.scatter(*zip(*spots.values(), strict=True), s=12, color="#777777")
+        line = [spots[n] for n in row["pareto_front"]]
+        axes.step(*zip(*line, strict=True), where="post", color="#0072B2", marker="o", markersize=4)
+        for n in row["pareto_front"]:
+            axes.annotate(n, spots[n], xytext=(4, 4), textcoords="offset points", fontsize=7, color="#0072B2")
+        axes.set(xscale="log", yscale="log", title=f"{name}, {row['fragments'] / 1e6:.3g} M fragments")
+        axes.set(xlabel="milliseconds", ylabel="RMSE")
+        axes.margins(0.15)
+    panels.flat[-1].axis("off")
+    panels.flat[-1].text(0, 0.7, "Every technique, default params.\nBlue: the Pareto front.\n"
+                         "Errors below 1e-7 are drawn at 1e-7.", fontsize=9)  # fmt: skip
+    run.save_figure(figure, "pareto")
+    plt.close(figure)

@@ -1,0 +1,78 @@
+"""The benchmarks run from end to end and say what they measured; no time is asserted."""
+
+import json
+import math
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import oitlab
+
+BENCHES = Path(__file__).parents[1] / "benches"
+SCENES = ["squares", "soup", "smoke", "shells", "blades"]
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """All parts, small, against peers of which some may be absent; what each part wrote."""
+    folder = tmp_path_factory.mktemp("bench")
+    command = [sys.executable, "-W", "error", str(BENCHES / "bench.py"), "--quick", "--output", str(folder)]
+    finished = subprocess.run([*command, "--peers", "embree", "ppll"], capture_output=True, text=True)
+    assert finished.returncode == 0, finished.stderr
+    parts = ("peers", "pareto", "scaling", "skips")
+    found = {part: json.loads((folder / f"{part}.json").read_text()) for part in parts}
+    for part in parts:
+        assert {"command", "date", "commit", "cpu", "cores", "versions"} <= found[part]["about"].keys()
+        assert (folder / f"{part}.md").read_text() in finished.stdout
+    for plot in ("pareto", "scaling"):
+        assert (folder / f"{plot}.png").read_bytes().startswith(b"\x89PNG")
+    return found
+
+
+def test_peers_draw_the_same_image_or_are_skipped_by_name(bench: dict[str, Any]) -> None:
+    peers = bench["peers"]
+    assert list(peers["scenes"]) == SCENES
+    assert peers["skipped"].keys() <= {"embree", "ppll"}
+    for row in peers["scenes"].values():
+        assert list(row["oitlab"]) == ["wboit", "lwboit", "mlab", "a_buffer", "painter"]
+        assert row["oitlab"]["a_buffer"]["rmse"] == 0.0
+        assert 0.0 < row["oitlab"]["lwboit"]["rmse"] < row["oitlab"]["wboit"]["rmse"]
+        for found in row["peers"].values():
+            assert "failed" in found or found["rmse"] < 0.05
+            assert "failed" in found or found["min_ms"] <= found["median_ms"] <= found["max_ms"]
+
+
+def test_every_technique_has_an_error_and_a_time(bench: dict[str, Any]) -> None:
+    ids = [technique.id for technique in oitlab.techniques()]
+    for row in bench["pareto"]["scenes"].values():
+        assert list(row["techniques"]) == ids
+        assert row["techniques"]["a_buffer"]["rmse"] < 1e-6
+        assert row["techniques"]["a_buffer"]["ns_per_fragment"] > 0
+        fastest = min(ids, key=lambda name: row["techniques"][name]["median_ms"])
+        assert row["pareto_front"][0] == fastest
+        errors = [row["techniques"][name]["rmse"] for name in row["pareto_front"]]
+        assert errors == sorted(errors, reverse=True)
+
+
+def test_curves_grow_in_what_they_say(bench: dict[str, Any]) -> None:
+    for size in ("fragments", "triangles"):
+        sizes = [point[size] for point in bench["scaling"][size]["points"]]
+        assert sizes == sorted(sizes)
+        assert sizes[-1] / sizes[0] == pytest.approx(10, rel=0.5)
+    assert set(bench["scaling"]["fragments"]["exponents"]) >= {"wboit", "a_buffer"}
+    assert all(math.isfinite(gain) for gain in bench["scaling"]["threads"]["speedup"].values())
+
+
+def test_what_is_skipped_is_what_the_scene_lacks(bench: dict[str, Any]) -> None:
+    rows = bench["skips"]["scenes"]
+    pixels = 160 * 90
+    assert rows["empty"]["fragments"] == 0
+    assert rows["hidden behind a wall"]["fragments"] == 0
+    assert rows["hidden behind a wall"]["skipped"]["occluded_fragments"] > 0
+    assert rows["single layer"]["fragments"] == pixels
+    assert rows["single layer"]["skipped"]["single_fragment_pixels"] == pixels
+    assert rows["uniform colour"]["fragments"] == rows["full"]["fragments"]
+    assert rows["5 % transparent"]["fragments"] == pytest.approx(0.05 * rows["full"]["fragments"], rel=0.3)
