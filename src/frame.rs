@@ -1,6 +1,8 @@
 //! What a render gives back: images and what they cost.
 
 use crate::params::Params;
+use crate::technique::Finished;
+use multiversion::multiversion;
 
 /// A sample type of images.
 pub trait Sample: Copy + Send + Sync + Default + 'static {
@@ -9,6 +11,8 @@ pub trait Sample: Copy + Send + Sync + Default + 'static {
 
     /// The nearest sample; values beyond the type's range become its largest finite value.
     fn from_f64(value: f64) -> Self;
+    /// Colours and background shares as samples.
+    fn store(pixels: &[Finished], colors: &mut [[Self; 3]], shares: &mut [Self]);
     /// Wraps a buffer of samples.
     fn wrap(samples: Vec<Self>) -> Image;
 }
@@ -19,6 +23,9 @@ impl Sample for f32 {
     #[expect(clippy::cast_possible_truncation, reason = "rounding to the sample type is the point")]
     fn from_f64(value: f64) -> Self {
         value.clamp(f64::from(f32::MIN), f64::from(f32::MAX)) as f32
+    }
+    fn store(pixels: &[Finished], colors: &mut [[Self; 3]], shares: &mut [Self]) {
+        store_f32(pixels, colors, shares);
     }
     fn wrap(samples: Vec<Self>) -> Image {
         Image::F32(samples)
@@ -32,8 +39,27 @@ impl Sample for f64 {
     fn from_f64(value: f64) -> Self {
         value
     }
+    fn store(pixels: &[Finished], colors: &mut [[Self; 3]], shares: &mut [Self]) {
+        for ((&[r, g, b, t], color), share) in pixels.iter().zip(colors).zip(shares) {
+            (*color, *share) = ([r, g, b], t);
+        }
+    }
     fn wrap(samples: Vec<Self>) -> Image {
         Image::F64(samples)
+    }
+}
+
+#[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
+#[expect(clippy::cast_possible_truncation, reason = "rounding to the sample type is the point")]
+fn store_f32(pixels: &[Finished], colors: &mut [[f32; 3]], shares: &mut [f32]) {
+    let largest = f64::from(f32::MAX);
+    for ((pixel, color), share) in pixels.iter().zip(colors).zip(shares) {
+        let mut samples = [0.0; 4];
+        for channel in 0..4 {
+            let value = if pixel[channel] < largest { pixel[channel] } else { largest };
+            samples[channel] = if value > -largest { value } else { -largest } as f32;
+        }
+        (*color, *share) = ([samples[0], samples[1], samples[2]], samples[3]);
     }
 }
 

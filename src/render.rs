@@ -4,6 +4,8 @@ mod capture;
 mod depth;
 mod image;
 mod inspect;
+mod plan;
+mod tally;
 mod tiles;
 
 pub use capture::capture;
@@ -16,14 +18,16 @@ use crate::frame::{Frame, Sample, Stats};
 use crate::order::{CentroidOrder, SubmissionOrder};
 use crate::params::{Checked, Input, Params, View, check};
 use crate::raster::{self, Raster};
-use crate::resolve::{Context, Resolver, Variant, VariantTally, nanos_since};
+use crate::resolve::{Context, Resolver, Variant, nanos_since};
 use crate::scene::Scene;
 use crate::technique::{Batch, DepthComplexity, Info};
 use crate::techniques::find;
 use image::{Patch, Target};
+use plan::Plan;
 use rayon::prelude::*;
 use std::sync::Mutex;
 use std::time::Instant;
+use tally::Tally;
 
 /// What can be rendered.
 #[derive(Debug, Clone, Copy)]
@@ -52,7 +56,12 @@ pub struct Options {
 
 impl Default for Options {
     fn default() -> Self {
-        Self { threads: None, skip: true, tile_size: 64, max_fragments: 1 << 18 }
+        Self {
+            threads: None,
+            skip: true,
+            tile_size: std::env::var("OT").ok().and_then(|v| v.parse().ok()).unwrap_or(64),
+            max_fragments: 1 << 18,
+        }
     }
 }
 
@@ -132,10 +141,9 @@ fn bind(info: &'static Info, checked: &Checked, view: &View) -> Result<Variant> 
 /// A render with everything decided: each different variant once, and which of them answers which request.
 struct Job<'a> {
     variants: Vec<Variant>,
-    /// The variants that are summed while rasterising ...
-    streamed: Vec<usize>,
-    /// ... and those that are resolved from lists.
-    listed: Vec<usize>,
+    plan: Plan,
+    /// The variants that are resolved from lists where a tile has any that must be.
+    from_lists: Vec<usize>,
     /// Per request: the variant that answers it, and the params as requested.
     answers: Vec<(usize, Params)>,
     centroids: Option<CentroidOrder>,
@@ -151,49 +159,6 @@ struct Job<'a> {
 struct Finished<S> {
     target: Target<S>,
     tally: Tally,
-}
-
-/// Counts of a run, summed over tiles.
-#[derive(Debug, Clone, Default)]
-struct Tally {
-    raster_nanos: u64,
-    /// The part of `raster_nanos` that was blending, by samples.
-    streaming_nanos: u64,
-    fragments: u64,
-    deepest: u64,
-    empty_tiles: u64,
-    empty_pixels: u64,
-    occluded_fragments: u64,
-    variants: Vec<VariantTally>,
-}
-
-impl Tally {
-    fn new(variants: usize) -> Self {
-        Self { variants: vec![VariantTally::default(); variants], ..Self::default() }
-    }
-
-    fn count(&mut self, fragments_of_pixel: usize) {
-        let n = fragments_of_pixel as u64;
-        self.fragments += n;
-        self.deepest = self.deepest.max(n);
-        self.empty_pixels += u64::from(n == 0);
-    }
-
-    fn merge(mut self, other: &Self) -> Self {
-        self.raster_nanos += other.raster_nanos;
-        self.streaming_nanos += other.streaming_nanos;
-        self.fragments += other.fragments;
-        self.deepest = self.deepest.max(other.deepest);
-        self.empty_tiles += other.empty_tiles;
-        self.empty_pixels += other.empty_pixels;
-        self.occluded_fragments += other.occluded_fragments;
-        for (mine, theirs) in self.variants.iter_mut().zip(&other.variants) {
-            mine.nanos += theirs.nanos;
-            mine.dropped += theirs.dropped;
-            mine.single_fragment_pixels += theirs.single_fragment_pixels;
-        }
-        self
-    }
 }
 
 /// Working memories waiting for a tile.
@@ -240,17 +205,17 @@ impl<'a> Job<'a> {
             answers.push((index, params));
         }
         let is_scene = matches!(source, Source::Scene(_));
-        let (streamed, listed) =
-            (0..variants.len()).partition(|&v| is_scene && variants[v].streamed().is_some());
+        let plan = Plan::new(&variants, is_scene);
+        let from_lists: Vec<_> = plan.listed.iter().chain(&plan.overs).copied().collect();
         let start = Instant::now();
-        let by_centroid = variants.iter().any(|v| v.order == SubmissionOrder::Centroid);
+        let by_centroid = plan.listed.iter().any(|&v| variants[v].order == SubmissionOrder::Centroid);
         let centroids = by_centroid.then(|| match source {
             Source::Scene(scene) => CentroidOrder::of_all(&raster::centroid_depths(scene, stop)),
             Source::Fragments(fragments) => fragments.centroid_order(),
         });
         let centroid_nanos = nanos_since(start);
         let shortcuts = options.skip && S::SHORTCUTS;
-        Ok(Self { variants, streamed, listed, answers, centroids, options, shortcuts, stop, centroid_nanos })
+        Ok(Self { variants, plan, from_lists, answers, centroids, options, shortcuts, stop, centroid_nanos })
     }
 
     fn context<'b>(&'b self, selected: &'b [usize]) -> Context<'b> {
@@ -309,8 +274,12 @@ impl<'a> Job<'a> {
             };
             workers.with(new_worker, |(resolver, resolved)| {
                 let mut tally = Tally::new(self.variants.len());
-                (first..last).for_each(|i| tally.count(rows.count(i)));
-                resolver.run(&self.context(&self.listed), &batch, 0, resolved, &mut tally.variants);
+                #[expect(
+                    clippy::cast_possible_truncation,
+                    reason = "a pixel's list is far shorter than 2^32"
+                )]
+                tally.count((first..last).map(|i| rows.count(i) as u32));
+                resolver.run(&self.context(&self.plan.listed), &batch, 0, resolved, &mut tally.variants);
                 resolved.iter().enumerate().for_each(|(v, pixels)| patch.store(v, &rect, 0, pixels));
                 tally
             })
@@ -367,7 +336,8 @@ impl<'a> Job<'a> {
         let share = |nanos: u64| nanos as f64 / clock.threads as f64 * 1e-6;
         let drawing = tally.raster_nanos.saturating_sub(tally.streaming_nanos);
         let raster_ms = clock.setup_nanos as f64 * 1e-6 + share(drawing);
-        let by_centroid = self.variants[index].order == SubmissionOrder::Centroid;
+        let by_centroid =
+            self.plan.listed.contains(&index) && self.variants[index].order == SubmissionOrder::Centroid;
         let ranking_ms = if by_centroid { self.centroid_nanos as f64 * 1e-6 } else { 0.0 };
         let resolve_ms = ranking_ms + share(variant.nanos);
         let alone = self.variants.len() == 1;
@@ -384,8 +354,10 @@ impl<'a> Job<'a> {
             skipped: vec![
                 ("empty_tiles", tally.empty_tiles),
                 ("empty_pixels", tally.empty_pixels),
-                ("occluded_fragments", tally.occluded_fragments),
+                ("occluded_fragments", tally.occluded.fragments),
+                ("occluded_primitives", tally.occluded.primitives),
                 ("single_fragment_pixels", variant.single_fragment_pixels),
+                ("hidden_fragments", variant.hidden_fragments),
                 ("duplicate_variants", u64::from(duplicate)),
             ],
             threads: clock.threads,

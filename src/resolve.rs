@@ -1,10 +1,11 @@
 //! Runs techniques over batches of pixels: hands each the fragments it should see, in the order it should see
 //! them, and answers pixels itself where the answer is provably the technique's own.
 
-use crate::continuum::sums::Blended;
 use crate::fragments::{Lists, ListsRef};
 use crate::order::{CentroidOrder, Reorderer, SubmissionOrder, without_zero_fragments};
 use crate::params::Params;
+use crate::raster::Order;
+use crate::stream::Streamed;
 use crate::technique::{AnyTechnique, Batch, Info, Resolved};
 use glam::{DVec3, Vec3};
 use std::time::Instant;
@@ -37,9 +38,15 @@ impl Variant {
         }
     }
 
-    /// The technique as sums that can be fed while rasterising, in the order of arrival.
-    pub fn streamed(&self) -> Option<&dyn Blended> {
-        self.technique.blended().filter(|_| self.order == SubmissionOrder::AsIs)
+    /// What the technique is if it can be fed while rasterising, and the order that it has to be fed in.
+    pub fn streamed(&self) -> Option<(Streamed<'_>, Order)> {
+        let streamed = self.technique.streamed()?;
+        match (streamed, self.order) {
+            (Streamed::Over, _) => Some((streamed, Order::FrontToBack)),
+            (_, SubmissionOrder::AsIs) => Some((streamed, Order::Submission)),
+            (Streamed::Blend, SubmissionOrder::Centroid) => Some((streamed, Order::BackToFront)),
+            _ => None,
+        }
     }
 }
 
@@ -52,6 +59,8 @@ pub struct VariantTally {
     pub dropped: u64,
     /// Pixels of one fragment that were composited directly.
     pub single_fragment_pixels: u64,
+    /// Fragments behind one that covers its pixel, which were not looked at.
+    pub hidden_fragments: u64,
 }
 
 /// Resolves batches; keep it and its memory is reused.
@@ -211,7 +220,8 @@ fn run_variant(
 ) {
     let technique = &*variant.technique;
     // sums that may have been streamed cannot be cut short either, and a capture is to give their bits
-    let shortcut = context.shortcuts && technique.properties().exact_for_one && technique.blended().is_none();
+    let is_sums = matches!(technique.streamed(), Some(Streamed::Sums(_)));
+    let shortcut = context.shortcuts && technique.properties().exact_for_one && !is_sums;
     pixels.clear();
     for (i, out) in out.iter_mut().enumerate() {
         match batch.lists.count(i) {

@@ -1,10 +1,10 @@
 //! What a transparency technique is: a function from a pixel's fragment list to a colour, with an entry in
 //! the registry that says what it is called, what it costs and what it promises.
 
-use crate::continuum::sums::Blended;
 use crate::error::Result;
 use crate::fragments::{List, ListsRef};
 use crate::params::{ParamSpec, Params, View};
+use crate::stream::Streamed;
 use glam::DVec3;
 
 /// One pixel as a technique sees it.
@@ -33,6 +33,10 @@ pub struct Resolved {
     /// Fragments that the technique's storage had no room for.
     pub dropped: u64,
 }
+
+/// A pixel of a technique that keeps every fragment and attenuates all channels alike: linear colour, background
+/// included, and the background's share.
+pub type Finished = [f64; 4];
 
 impl Resolved {
     /// A colour over which the background shows with the same share in every channel.
@@ -128,8 +132,8 @@ pub trait Technique: Send + Sync + 'static {
     /// The pixel's colour. `pixel.list` holds at least one fragment.
     fn resolve(&self, pixel: &Pixel<'_>, scratch: &mut Self::Scratch) -> Resolved;
 
-    /// The technique as sums over fragments, if it is nothing else; then fragments need not be kept for it.
-    fn blended(&self) -> Option<&dyn Blended> {
+    /// What the technique is if it can be fed fragment by fragment; then none need be kept for it.
+    fn streamed(&self) -> Option<Streamed<'_>> {
         None
     }
 
@@ -195,8 +199,8 @@ pub trait AnyTechnique: Send + Sync {
     fn needs_sorted(&self) -> bool;
     /// See [`Technique::NEEDS_ARRIVAL`].
     fn needs_arrival(&self) -> bool;
-    /// See [`Technique::blended`].
-    fn blended(&self) -> Option<&dyn Blended>;
+    /// See [`Technique::streamed`].
+    fn streamed(&self) -> Option<Streamed<'_>>;
     /// See [`Technique::SEES_ZERO_FRAGMENTS`].
     fn sees_zero_fragments(&self) -> bool;
     /// See [`Technique::COLORED_TRANSMITTANCE`].
@@ -218,8 +222,8 @@ impl<T: Technique> AnyTechnique for T {
     fn needs_arrival(&self) -> bool {
         T::NEEDS_ARRIVAL
     }
-    fn blended(&self) -> Option<&dyn Blended> {
-        Technique::blended(self)
+    fn streamed(&self) -> Option<Streamed<'_>> {
+        Technique::streamed(self)
     }
     fn sees_zero_fragments(&self) -> bool {
         T::SEES_ZERO_FRAGMENTS

@@ -6,6 +6,7 @@
 
 use crate::error::Result;
 use crate::params::{Kind, ParamSpec, Params, Value};
+use multiversion::multiversion;
 
 /// Weights stay within these bounds. Where all weights underflow to the floor the average is unweighted
 /// (MB13 eq. 5) instead of 0/0; the ceiling leaves the sums of 10⁴ bright fragments finite in f32.
@@ -14,7 +15,7 @@ pub const WEIGHT_BOUNDS: (f32, f32) = (1e-30, 1e30);
 /// The smallest depth a weight sees: keeps `z^-k` finite at the eye.
 pub const MIN_DEPTH: f32 = 1e-4;
 
-/// A weight function of depth and coverage.
+/// A weight function of depth and coverage that somebody else wrote.
 pub trait DepthWeight: Send + Sync {
     /// Writes `weights[i] = w(depth[i], alpha[i])`. The slices have one length; `depth >= `[`MIN_DEPTH`].
     fn evaluate(&self, depth: &[f32], alpha: &[f32], weights: &mut [f32]);
@@ -85,39 +86,104 @@ impl Planes {
     }
 }
 
-fn fill(depth: &[f32], alpha: &[f32], weights: &mut [f32], w: impl Fn(f32, f32) -> f32) {
-    for ((weight, &z), &a) in weights.iter_mut().zip(depth).zip(alpha) {
-        *weight = w(z, a);
+/// Weights that are computed together.
+const LANES: usize = 8;
+
+/// Writes the weights of all fragments, within their bounds, in whole vectors: the rest of a slice is computed
+/// as one, too.
+#[inline(always)]
+#[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+fn fill(at: &Fragments<'_>, weights: &mut [f32], w: impl Fn(f32, f32) -> f32) {
+    let ((depth, depth_rest), (alpha, alpha_rest)) = (at.depth.as_chunks(), at.alpha.as_chunks());
+    let (weights, weights_rest) = weights.as_chunks_mut();
+    for ((weights, z), a) in weights.iter_mut().zip(depth).zip(alpha) {
+        fill_lanes(at.seen, z, a, weights, &w);
+    }
+    if !depth_rest.is_empty() {
+        let (mut z, mut a, mut all) = ([1.0; LANES], [1.0; LANES], [0.0; LANES]);
+        z[..depth_rest.len()].copy_from_slice(depth_rest);
+        a[..depth_rest.len()].copy_from_slice(alpha_rest);
+        fill_lanes(at.seen, &z, &a, &mut all, &w);
+        weights_rest.copy_from_slice(&all[..weights_rest.len()]);
     }
 }
 
-impl DepthWeight for Formula {
-    fn evaluate(&self, depth: &[f32], alpha: &[f32], weights: &mut [f32]) {
+#[inline(always)]
+#[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+fn fill_lanes(
+    seen: Seen,
+    z: &[f32; LANES],
+    a: &[f32; LANES],
+    weights: &mut [f32; LANES],
+    w: &impl Fn(f32, f32) -> f32,
+) {
+    let mut all = [0.0; LANES];
+    for lane in 0..LANES {
+        all[lane] = bounded(w(seen.see(z[lane]), a[lane]));
+    }
+    *weights = all;
+}
+
+/// What is to be weighed.
+struct Fragments<'a> {
+    seen: Seen,
+    depth: &'a [f32],
+    alpha: &'a [f32],
+}
+
+#[inline(always)]
+#[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+fn bounded(w: f32) -> f32 {
+    let (floor, ceiling) = WEIGHT_BOUNDS;
+    let w = if w > floor { w } else { floor };
+    if w < ceiling { w } else { ceiling }
+}
+
+/// `z^-k`; by multiplication where k is a small whole number, which is faster than `powf` and as exact.
+#[inline(always)]
+#[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+fn inverse_power(at: &Fragments<'_>, weights: &mut [f32], k: f32) {
+    let square = |x: f32| x * x;
+    match k {
+        1.0 => fill(at, weights, |z, _| z.recip()),
+        2.0 => fill(at, weights, |z, _| square(z.recip())),
+        3.0 => fill(at, weights, |z, _| square(z.recip()) * z.recip()),
+        4.0 => fill(at, weights, |z, _| square(square(z.recip()))),
+        5.0 => fill(at, weights, |z, _| square(square(z.recip())) * z.recip()),
+        6.0 => fill(at, weights, |z, _| square(square(z.recip()) * z.recip())),
+        _ => fill(at, weights, |z, _| z.powf(-k)),
+    }
+}
+
+impl Formula {
+    #[inline(always)]
+    #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+    fn weigh(&self, at: &Fragments<'_>, weights: &mut [f32]) {
         let square = |x: f32| x * x;
         let cube = |x: f32| x * x * x;
         let mb = |x: f32| x.clamp(1e-2, 3e3);
         match *self {
             Self::One => weights.fill(1.0),
-            Self::Mb7 => fill(depth, alpha, weights, |z, a| {
-                a * mb(10.0 / (1e-5 + square(z / 5.0) + square(cube(z / 200.0))))
-            }),
-            Self::Mb8 => fill(depth, alpha, weights, |z, a| {
-                a * mb(10.0 / (1e-5 + cube(z / 10.0) + square(cube(z / 200.0))))
-            }),
+            Self::Mb7 => {
+                fill(at, weights, |z, a| a * mb(10.0 / (1e-5 + square(z / 5.0) + square(cube(z / 200.0)))));
+            }
+            Self::Mb8 => {
+                fill(at, weights, |z, a| a * mb(10.0 / (1e-5 + cube(z / 10.0) + square(cube(z / 200.0)))));
+            }
             Self::Mb9 => {
-                fill(depth, alpha, weights, |z, a| a * mb(0.03 / (1e-5 + square(square(z / 200.0)))));
+                fill(at, weights, |z, a| a * mb(0.03 / (1e-5 + square(square(z / 200.0)))));
             }
             Self::Mb10(planes) => {
-                fill(depth, alpha, weights, |z, a| a * (3e3 * cube(planes.one_minus_depth(z))).max(1e-2));
+                fill(at, weights, |z, a| a * (3e3 * cube(planes.one_minus_depth(z))).max(1e-2));
             }
-            Self::InvPow { k } => fill(depth, alpha, weights, |z, _| z.powf(-k)),
-            Self::Fig1 => fill(depth, alpha, weights, |z, _| square((z + 5.0).recip())),
-            Self::Smoke6 => fill(depth, alpha, weights, |z, a| square(a / cube(z))),
-            Self::Fig10 { k } => fill(depth, alpha, weights, |z, _| {
+            Self::InvPow { k } => inverse_power(at, weights, k),
+            Self::Fig1 => fill(at, weights, |z, _| square((z + 5.0).recip())),
+            Self::Smoke6 => fill(at, weights, |z, a| square(a / cube(z))),
+            Self::Fig10 { k } => fill(at, weights, |z, _| {
                 let x = k * z;
                 10.0 / (1.0 + 10.0 * square(square(x)) * x)
             }),
-            Self::I3d16(planes) => fill(depth, alpha, weights, |z, a| {
+            Self::I3d16(planes) => fill(at, weights, |z, a| {
                 (1e3 * a * cube(0.01 + 0.99 * planes.one_minus_depth(z))).clamp(1e-2, 30.0)
             }),
         }
@@ -126,16 +192,39 @@ impl DepthWeight for Formula {
 
 /// A weight function with the depth scale and shift it is seen through.
 pub struct Weighting {
-    function: Box<dyn DepthWeight>,
+    function: Function,
+    seen: Seen,
+}
+
+/// A published weight or one of somebody's own.
+pub enum Function {
+    /// One of the published ones.
+    Published(Formula),
+    /// Another one.
+    Own(Box<dyn DepthWeight>),
+}
+
+/// The depth that weights see.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Seen {
     scale: f32,
     shift: f32,
+}
+
+impl Seen {
+    #[inline(always)]
+    #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+    fn see(self, z: f32) -> f32 {
+        let seen = self.scale * z + self.shift;
+        if seen > MIN_DEPTH { seen } else { MIN_DEPTH }
+    }
 }
 
 impl Weighting {
     /// `function` of `max(scale z + shift, `[`MIN_DEPTH`]`)`.
     #[expect(clippy::cast_possible_truncation, reason = "weights are evaluated in f32")]
-    pub fn new(function: Box<dyn DepthWeight>, scale: f64, shift: f64) -> Self {
-        Self { function, scale: scale as f32, shift: shift as f32 }
+    pub fn new(function: Function, scale: f64, shift: f64) -> Self {
+        Self { function, seen: Seen { scale: scale as f32, shift: shift as f32 } }
     }
 
     /// The weighting that a technique's params ask for; the technique's table has [`WEIGHT`], [`WEIGHT_K`],
@@ -160,26 +249,61 @@ impl Weighting {
             "i3d16" => Formula::I3d16(planes),
             other => unreachable!("{other:?} is not a choice of \"weight\""),
         };
-        Ok(Self::new(Box::new(formula), params.float("weight_scale"), params.float("weight_shift")))
+        Ok(Self::new(
+            Function::Published(formula),
+            params.float("weight_scale"),
+            params.float("weight_shift"),
+        ))
+    }
+
+    /// Whether two weightings are known to give the same weights.
+    pub fn is_same(&self, other: &Self) -> bool {
+        match (&self.function, &other.function) {
+            (Function::Published(mine), Function::Published(theirs)) => {
+                mine == theirs && self.seen == other.seen
+            }
+            _ => false,
+        }
+    }
+
+    /// [`Weighting::evaluate`] for the caller's instruction set.
+    #[inline(always)]
+    #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+    pub fn evaluate_here(&self, depth: &[f32], alpha: &[f32], weights: &mut Vec<f32>) {
+        match &self.function {
+            Function::Published(formula) => {
+                weights.resize(depth.len(), 0.0);
+                formula.weigh(&Fragments { seen: self.seen, depth, alpha }, weights);
+            }
+            Function::Own(_) => self.evaluate(depth, alpha, weights),
+        }
     }
 
     /// The weight of every fragment, in `weights`, which is resized to fit.
     pub fn evaluate(&self, depth: &[f32], alpha: &[f32], weights: &mut Vec<f32>) {
-        const CHUNK: usize = 128;
-        let mut seen = [0.0; CHUNK];
         weights.resize(depth.len(), 0.0);
-        let chunks = depth.chunks(CHUNK).zip(alpha.chunks(CHUNK)).zip(weights.chunks_mut(CHUNK));
-        for ((depth, alpha), weights) in chunks {
-            let seen = &mut seen[..depth.len()];
-            for (seen, &z) in seen.iter_mut().zip(depth) {
-                *seen = (self.scale * z + self.shift).max(MIN_DEPTH);
+        match &self.function {
+            Function::Published(formula) => {
+                weigh_published(formula, &Fragments { seen: self.seen, depth, alpha }, weights);
             }
-            self.function.evaluate(seen, alpha, weights);
-            for w in weights {
-                *w = w.max(WEIGHT_BOUNDS.0).min(WEIGHT_BOUNDS.1);
+            Function::Own(function) => {
+                const CHUNK: usize = 128;
+                let mut seen = [0.0; CHUNK];
+                let chunks = depth.chunks(CHUNK).zip(alpha.chunks(CHUNK)).zip(weights.chunks_mut(CHUNK));
+                for ((depth, alpha), weights) in chunks {
+                    let seen = &mut seen[..depth.len()];
+                    seen.iter_mut().zip(depth).for_each(|(seen, &z)| *seen = self.seen.see(z));
+                    function.evaluate(seen, alpha, weights);
+                    weights.iter_mut().for_each(|w| *w = bounded(*w));
+                }
             }
         }
     }
+}
+
+#[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
+fn weigh_published(formula: &Formula, fragments: &Fragments<'_>, weights: &mut [f32]) {
+    formula.weigh(fragments, weights);
 }
 
 fn depth_matters(params: &Params) -> bool {
@@ -243,7 +367,7 @@ mod tests {
 
     fn weigh(formula: Formula, z: f32, a: f32) -> f64 {
         let mut weights = Vec::new();
-        Weighting::new(Box::new(formula), 1.0, 0.0).evaluate(&[z], &[a], &mut weights);
+        Weighting::new(Function::Published(formula), 1.0, 0.0).evaluate(&[z], &[a], &mut weights);
         f64::from(weights[0])
     }
 
@@ -320,7 +444,7 @@ mod tests {
     #[test]
     fn scale_and_shift_move_the_depth_down_to_a_bound() {
         let mut weights = Vec::new();
-        let weighting = Weighting::new(Box::new(Formula::InvPow { k: 1.0 }), 2.0, -3.0);
+        let weighting = Weighting::new(Function::Published(Formula::InvPow { k: 1.0 }), 2.0, -3.0);
         weighting.evaluate(&[2.0, 3.5, 0.0], &[1.0; 3], &mut weights);
         assert_eq!(weights, [1.0, 0.25, MIN_DEPTH.powf(-1.0)]);
     }
@@ -339,7 +463,11 @@ mod tests {
             for (z, a) in depths.iter().flat_map(|&z| [0.0, 1e-30, 1.0].map(|a| (z, a))) {
                 for (scale, shift) in [(1.0, 0.0), (1e300, -1e300), (1e-300, 1e300)] {
                     let mut weights = Vec::new();
-                    Weighting::new(Box::new(formula), scale, shift).evaluate(&[z], &[a], &mut weights);
+                    Weighting::new(Function::Published(formula), scale, shift).evaluate(
+                        &[z],
+                        &[a],
+                        &mut weights,
+                    );
                     let (floor, ceiling) = WEIGHT_BOUNDS;
                     assert!((floor..=ceiling).contains(&weights[0]), "{formula:?} z={z} a={a}: {weights:?}");
                 }
@@ -352,7 +480,7 @@ mod tests {
         let depth: Vec<f32> = (0..1000_u16).map(|i| f32::from(i) * 0.1).collect();
         let alpha = vec![0.5; depth.len()];
         let mut all = Vec::new();
-        Weighting::new(Box::new(Formula::Mb7), 1.0, 0.0).evaluate(&depth, &alpha, &mut all);
+        Weighting::new(Function::Published(Formula::Mb7), 1.0, 0.0).evaluate(&depth, &alpha, &mut all);
         for (&z, &w) in depth.iter().zip(&all) {
             assert_eq!(f64::from(w), weigh(Formula::Mb7, z, 0.5));
         }

@@ -71,7 +71,7 @@ def test_what_is_skipped_is_what_the_scene_lacks(bench: dict[str, Any]) -> None:
     pixels = 160 * 90
     assert rows["empty"]["fragments"] == 0
     assert rows["hidden behind a wall"]["fragments"] == 0
-    assert rows["hidden behind a wall"]["skipped"]["occluded_fragments"] > 0
+    assert rows["hidden behind a wall"]["skipped"]["occluded_primitives"] > 0
     assert rows["single layer"]["fragments"] == pixels
     assert rows["single layer"]["skipped"]["single_fragment_pixels"] == pixels
     assert rows["uniform colour"]["fragments"] == rows["full"]["fragments"]

@@ -1,20 +1,35 @@
 //! The accumulator of blended techniques: weighted sums and a product, as render targets hold them.
 
 use crate::fragments::List;
-use crate::technique::Resolved;
+use crate::lanes::{Group, LANES, at};
+use crate::technique::{Finished, Resolved};
 use crate::weight::Weighting;
 use glam::{DVec3, Vec3, Vec4};
+use multiversion::multiversion;
 
 /// What additive and multiplicative blending leave of a set of fragments (MB13 Listing 3): Σ w (C, a) in f32,
 /// and the background's share R = Π (1 − a).
 ///
-/// R and 1 − R are both kept, in f64: the first is the small one behind opaque fragments, the second behind
-/// faint ones, and "background coverage is exact" (MB13 §3.2) is worth having after 10⁴ layers too.
+/// R is kept in f64, and so is 1 − R as long as all fragments are [faint](FAINT): R is the small one behind opaque
+/// fragments, 1 − R behind faint ones, and "background coverage is exact" (MB13 §3.2) is worth having after 10⁴
+/// layers too. One fragment that is not faint makes 1 − R a difference that loses no more than 11 of 53 bits.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BlendSums {
     weighted: Vec4,
     transmittance: f64,
+    /// 1 − R of the faint fragments.
     coverage: f64,
+}
+
+/// Coverages up to here are faint.
+pub const FAINT: f64 = 1.0 / 1024.0;
+
+/// 1 − R from both of what is kept.
+#[inline(always)]
+#[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+fn precise_coverage(transmittance: f64, faint: f64) -> f64 {
+    // half of it, so that no rounding makes a fragment that is not faint go unseen
+    if 1.0 - transmittance > 0.5 * FAINT { 1.0 - transmittance } else { faint }
 }
 
 impl BlendSums {
@@ -32,12 +47,7 @@ impl BlendSums {
     pub fn add_share(&mut self, weight: f32, color: [f32; 3], alpha: f32, coverage: f64, transmittance: f64) {
         self.weighted += weight * Vec3::from(color).extend(alpha);
         self.transmittance *= transmittance;
-        self.coverage += (1.0 - self.coverage) * coverage;
-    }
-
-    /// Sums that were kept elsewhere.
-    pub fn from_parts(weighted: Vec4, transmittance: f64, coverage: f64) -> Self {
-        Self { weighted, transmittance, coverage }
+        self.coverage += (1.0 - self.coverage) * if coverage <= FAINT { coverage } else { 0.0 };
     }
 
     /// Σ w C; what overflows f32 counts as its largest number.
@@ -57,7 +67,7 @@ impl BlendSums {
 
     /// 1 − R, precise where R is near 1.
     pub fn coverage(&self) -> f64 {
-        self.coverage
+        precise_coverage(self.transmittance, self.coverage)
     }
 
     /// The unmultiplied average colour Σ w C / Σ w a; none where nothing covers.
@@ -91,8 +101,99 @@ impl BlendSums {
 
     /// `(1 − R) color + R background`.
     pub fn cover(&self, color: DVec3, background: DVec3) -> Resolved {
-        blend(color, self.coverage, self.transmittance, background)
+        blend(color, self.coverage(), self.transmittance, background)
     }
+}
+
+/// The sums of many pixels, and what they are to cover.
+#[derive(Debug, Clone, Copy)]
+pub struct SumsOf<'a> {
+    /// Σ w (r, g, b, a).
+    pub weighted: &'a [Group<[f32; 4]>],
+    /// R.
+    pub transmittance: &'a [Group<f64>],
+    /// 1 − R of the faint fragments.
+    pub coverage: &'a [Group<f64>],
+    /// Fragments per pixel.
+    pub counts: &'a [Group<u32>],
+    /// The opaque colours behind them, one per pixel.
+    pub background: &'a [[f32; 3]],
+    /// Whether they are known to be one colour.
+    pub one_background: bool,
+}
+
+impl SumsOf<'_> {
+    /// [`BlendSums::over`] for all pixels: its arithmetic, operation by operation.
+    pub fn over(&self, out: &mut Vec<Finished>) {
+        out.resize(self.background.len(), [0.0; 4]);
+        over_all(self, out);
+    }
+}
+
+#[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
+fn over_all(pixels: &SumsOf<'_>, out: &mut [Finished]) {
+    let one_background = pixels.one_background;
+    let groups = pixels.weighted.iter().zip(pixels.transmittance).zip(pixels.coverage);
+    let pixels = pixels.background.chunks(LANES).zip(out.chunks_mut(LANES));
+    for (((sums, transmittance), coverage), (background, out)) in groups.zip(pixels) {
+        // neighbours on the same surfaces are alike: once for all is enough
+        let alike = are_alike_f64(&transmittance.0) && are_alike(&sums.0) && are_alike_f64(&coverage.0);
+        if alike && (one_background || background.iter().all(|color| *color == background[0])) {
+            let pixel = over_one(sums.0[0], transmittance.0[0], coverage.0[0], background[0]);
+            out.iter_mut().for_each(|out| *out = pixel);
+            continue;
+        }
+        for (lane, (background, out)) in background.iter().zip(out).enumerate() {
+            *out = over_one(sums.0[lane], transmittance.0[lane], coverage.0[lane], *background);
+        }
+    }
+}
+
+/// Whether all pixels of a group have the same sums, to the bit.
+#[inline(always)]
+#[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+fn are_alike(sums: &[[f32; 4]; LANES]) -> bool {
+    let mut difference = [[0; 4]; LANES];
+    for lane in 0..LANES {
+        for channel in 0..4 {
+            difference[lane][channel] = sums[lane][channel].to_bits() ^ sums[0][channel].to_bits();
+        }
+    }
+    let mut any = [0; 4];
+    for lane in difference {
+        for channel in 0..4 {
+            any[channel] |= lane[channel];
+        }
+    }
+    any == [0; 4]
+}
+
+#[inline(always)]
+#[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+fn are_alike_f64(numbers: &[f64; LANES]) -> bool {
+    let mut difference = [0; LANES];
+    for lane in 0..LANES {
+        difference[lane] = numbers[lane].to_bits() ^ numbers[0].to_bits();
+    }
+    difference.iter().fold(0, |any, bits| any | bits) == 0
+}
+
+/// [`BlendSums::over`] of one pixel; the fourth channel comes out as the background's share.
+#[inline(always)]
+#[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+fn over_one([r, g, b, alpha]: [f32; 4], t: f64, coverage: f64, background: [f32; 3]) -> Finished {
+    let largest = f64::from(f32::MAX);
+    let coverage = precise_coverage(t, coverage);
+    let alpha = f64::from(if alpha < f32::MAX { alpha } else { f32::MAX });
+    let (color, behind) = ([r, g, b, 0.0], [background[0], background[1], background[2], 1.0]);
+    let mut pixel = [0.0; 4];
+    for channel in 0..4 {
+        let sum = f64::from(if color[channel] < f32::MAX { color[channel] } else { f32::MAX });
+        let blended = coverage * (sum / alpha) + t * f64::from(behind[channel]);
+        let blended = if blended < largest { blended } else { largest };
+        pixel[channel] = if alpha > 0.0 { blended } else { f64::from(behind[channel]) };
+    }
+    pixel
 }
 
 /// A technique that is nothing but [`BlendSums`] over all fragments, in any order.
@@ -104,6 +205,12 @@ pub trait Blended: Send + Sync {
 
     /// The pixel's colour from its sums over `count` fragments.
     fn finish(&self, sums: &BlendSums, count: usize, background: DVec3) -> Resolved;
+
+    /// The same for many pixels, each over its background, in place of what `out` has; those without fragments
+    /// are background alone.
+    fn finish_all(&self, pixels: &SumsOf<'_>, out: &mut Vec<Finished>) {
+        finish_each(self, pixels, out);
+    }
 
     /// The pixel's colour from its fragments.
     fn blend_list(&self, list: List<'_>, background: DVec3, weights: &mut Vec<f32>) -> Resolved {
@@ -120,6 +227,25 @@ pub trait Blended: Send + Sync {
         }
         self.finish(&sums, list.len(), background)
     }
+}
+
+/// [`Blended::finish`] pixel by pixel.
+pub fn finish_each<T: Blended + ?Sized>(technique: &T, pixels: &SumsOf<'_>, out: &mut Vec<Finished>) {
+    out.clear();
+    out.extend(pixels.background.iter().enumerate().map(|(i, &background)| {
+        let count = at(pixels.counts, i);
+        let sums = BlendSums {
+            weighted: Vec4::from(at(pixels.weighted, i)),
+            transmittance: at(pixels.transmittance, i),
+            coverage: at(pixels.coverage, i),
+        };
+        let background = Vec3::from(background).as_dvec3();
+        let resolved = match count {
+            0 => Resolved::background(background),
+            _ => technique.finish(&sums, count as usize, background),
+        };
+        resolved.color.extend(resolved.transmittance.x).to_array()
+    }));
 }
 
 /// `coverage color + transmittance background`, finite in f32 also where fragments that emit without covering

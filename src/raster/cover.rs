@@ -8,7 +8,7 @@
 use super::project::{CENTER, SUBPIXELS};
 
 /// A rectangle of pixels, right and bottom exclusive.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Rect {
     /// First column.
     pub x0: i32,

@@ -4,7 +4,9 @@
 //! tiles, threads and SIMD widths cannot change a bit; and every result is clamped to the vertices' range.
 
 use super::project::{CENTER, Projector, SUBPIXELS, ScreenVertex};
+use super::runs::Run;
 use glam::DVec3;
+use multiversion::multiversion;
 
 /// A pixel centre seen on a primitive: view depth and the weights of the three corners.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -17,8 +19,6 @@ pub struct Hit {
 
 /// Pixels that are evaluated together.
 pub const LANES: usize = 8;
-/// The same as a distance between pixels.
-pub const LANES_I32: i32 = 8;
 
 /// What can be evaluated at a pixel centre inside the primitive.
 #[derive(Debug, Clone, Copy)]
@@ -41,28 +41,21 @@ impl Surface<'_> {
 
     /// The depth of every pixel, if they all have the same.
     pub fn constant_depth(&self) -> Option<f32> {
-        let (lo, hi) = match self {
-            Self::Plane(plane) => plane.range,
-            Self::Ray(ray) => ray.range,
-        };
+        let (lo, hi) = self.range();
         #[expect(clippy::cast_possible_truncation, reason = "fragments store depth as f32")]
         (lo == hi).then_some(lo as f32)
     }
 
-    /// The depths of [`LANES`] pixels from (x, y) to the right: the bits of [`Surface::at`] inside the
-    /// primitive, something finite outside.
-    #[inline(always)]
-    #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
-    pub fn depths(&self, x: i32, y: i32) -> [f32; LANES] {
+    /// No pixel is farther away.
+    #[expect(clippy::cast_possible_truncation, reason = "fragments store depth as f32")]
+    pub fn farthest(&self) -> f32 {
+        self.range().1 as f32
+    }
+
+    fn range(&self) -> (f64, f64) {
         match self {
-            Self::Plane(plane) => plane.depths(x, y),
-            Self::Ray(ray) => {
-                let mut x = x - 1;
-                [(); LANES].map(|()| {
-                    x += 1;
-                    ray.at(x, y).depth
-                })
-            }
+            Self::Plane(plane) => plane.range,
+            Self::Ray(ray) => ray.range,
         }
     }
 }
@@ -78,24 +71,22 @@ pub struct Plane {
     values: [f64; 3],
     perspective: bool,
     range: (f64, f64),
-    /// The least value of each edge function, times the sign of the area, that is inside.
-    least: [f64; 3],
 }
 
 impl Plane {
     /// The plane through three unclipped vertices of nonzero area.
+    #[inline(always)]
+    #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
     pub fn new(v: &[ScreenVertex; 3], perspective: bool) -> Self {
         let difference = |i: usize| (f64::from(v[i].x - v[0].x), f64::from(v[i].y - v[0].y));
         let (to_1, to_2) = (difference(1), difference(2));
         let z = v.map(|v| v.z);
         let area = to_1.0 * to_2.1 - to_2.0 * to_1.1;
-        let edges = [(to_2.0 - to_1.0, to_2.1 - to_1.1), (-to_2.0, -to_2.1), to_1];
         Self {
             origin: (v[0].x, v[0].y),
             to_1,
             to_2,
             area,
-            least: edges.map(|edge| least_inside(edge, area.signum())),
             values: if perspective { z.map(f64::recip) } else { z },
             perspective,
             range: (z[0].min(z[1]).min(z[2]), z[0].max(z[1]).max(z[2])),
@@ -103,57 +94,49 @@ impl Plane {
     }
 }
 
-/// A centre on an edge is inside if the edge is a top or left one as the triangle is walked clockwise. Edge
-/// functions are integers, so that 1/2 tells zero from what is above it.
-fn least_inside((dx, dy): (f64, f64), sign: f64) -> f64 {
-    let (dx, dy) = (dx * sign, dy * sign);
-    if dy < 0.0 || (dy == 0.0 && dx > 0.0) { 0.0 } else { 0.5 }
-}
-
 impl Plane {
-    /// Which of [`LANES`] pixels from (x, y) to the right are inside, by the top-left rule, and the depths of
-    /// them all.
-    #[inline(always)]
-    #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
-    #[expect(clippy::cast_possible_truncation, reason = "fragments store depth as f32")]
-    #[expect(clippy::needless_bitwise_bool, reason = "three comparisons without branches")]
-    pub fn cover(&self, x: i32, y: i32) -> (u8, [f32; LANES]) {
-        let dx = f64::from(x * SUBPIXELS + CENTER - self.origin.0);
-        let dy = f64::from(y * SUBPIXELS + CENTER - self.origin.1);
-        let [v0, v1, v2] = self.values;
-        let sign = self.area.signum();
-        let (mut inside, mut depths) = ([false; LANES], [0.0; LANES]);
-        for lane in 0..LANES {
-            let dx = dx + STEPS[lane];
-            let l1 = dx * self.to_2.1 - dy * self.to_2.0;
-            let l2 = dy * self.to_1.0 - dx * self.to_1.1;
-            let l0 = self.area - l1 - l2;
-            inside[lane] =
-                (l0 * sign >= self.least[0]) & (l1 * sign >= self.least[1]) & (l2 * sign >= self.least[2]);
-            let sum = l0 * v0 + l1 * v1 + l2 * v2;
-            let depth = if self.perspective { self.area / sum } else { sum / self.area };
-            depths[lane] = depth.max(self.range.0).min(self.range.1) as f32;
-        }
-        let mask = inside.iter().rev().fold(0, |mask, &inside| mask << 1 | u8::from(inside));
-        (mask, depths)
+    /// Which way round the corners go: 1 clockwise on the screen, -1 counter-clockwise.
+    pub fn sign(&self) -> f64 {
+        self.area.signum()
     }
 
+    /// The depth at one pixel centre, as [`Plane::depths`] has it.
     #[inline(always)]
     #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
     #[expect(clippy::cast_possible_truncation, reason = "fragments store depth as f32")]
-    fn depths(&self, x: i32, y: i32) -> [f32; LANES] {
-        let dx = f64::from(x * SUBPIXELS + CENTER - self.origin.0);
-        let dy = f64::from(y * SUBPIXELS + CENTER - self.origin.1);
+    fn depth(&self, dx: f64, dy: f64) -> f32 {
         let [v0, v1, v2] = self.values;
+        let l1 = dx * self.to_2.1 - dy * self.to_2.0;
+        let l2 = dy * self.to_1.0 - dx * self.to_1.1;
+        let sum = (self.area - l1 - l2) * v0 + l1 * v1 + l2 * v2;
+        let (above, below) = if self.perspective { (self.area, sum) } else { (sum, self.area) };
+        clamp_depth(above / below, self.range) as f32
+    }
+
+    /// The depths at pixel centres given in sub-pixels from the first corner: the bits of [`Surface::at`]
+    /// inside the triangle, something within its corners' range outside.
+    #[inline(always)]
+    #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+    #[expect(clippy::cast_possible_truncation, reason = "fragments store depth as f32")]
+    fn depths(&self, dx: &[f64; LANES], dy: &[f64; LANES]) -> [f32; LANES] {
+        let [v0, v1, v2] = self.values;
+        let (mut l1, mut l2, mut sum) = ([0.0; LANES], [0.0; LANES], [0.0; LANES]);
+        for lane in 0..LANES {
+            l1[lane] = dx[lane] * self.to_2.1 - dy[lane] * self.to_2.0;
+        }
+        for lane in 0..LANES {
+            l2[lane] = dy[lane] * self.to_1.0 - dx[lane] * self.to_1.1;
+        }
+        for lane in 0..LANES {
+            let l0 = self.area - l1[lane] - l2[lane];
+            sum[lane] = l0 * v0 + l1[lane] * v1 + l2[lane] * v2;
+        }
         let mut depths = [0.0; LANES];
         for lane in 0..LANES {
-            let dx = dx + STEPS[lane];
-            let l1 = dx * self.to_2.1 - dy * self.to_2.0;
-            let l2 = dy * self.to_1.0 - dx * self.to_1.1;
-            let l0 = self.area - l1 - l2;
-            let sum = l0 * v0 + l1 * v1 + l2 * v2;
-            let depth = if self.perspective { self.area / sum } else { sum / self.area };
-            depths[lane] = depth.max(self.range.0).min(self.range.1) as f32;
+            // one division, whichever it is
+            let above = if self.perspective { self.area } else { sum[lane] };
+            let below = if self.perspective { sum[lane] } else { self.area };
+            depths[lane] = clamp_depth(above / below, self.range) as f32;
         }
         depths
     }
@@ -174,11 +157,19 @@ impl Plane {
         } else {
             (sum / self.area, [l0 / self.area, l1 / self.area, l2 / self.area])
         };
-        Hit { depth: depth.max(self.range.0).min(self.range.1) as f32, weights }
+        Hit { depth: clamp_depth(depth, self.range) as f32, weights }
     }
 }
 
-/// Sub-pixels from a block's first pixel to each of its pixels.
+/// The range's end where the depth lies beyond it or is no number.
+#[inline(always)]
+#[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+fn clamp_depth(depth: f64, (low, high): (f64, f64)) -> f64 {
+    let depth = if depth > low { depth } else { low };
+    if depth < high { depth } else { high }
+}
+
+/// Sub-pixels from a pixel to those at its right.
 const STEPS: [f64; LANES] = {
     let mut steps = [0.0; LANES];
     let mut lane = 1;
@@ -188,6 +179,137 @@ const STEPS: [f64; LANES] = {
     }
     steps
 };
+
+/// Pixels of one primitive up to which they are listed one by one; runs and blocks pay off from here on.
+pub const FEW: usize = 32;
+
+/// The pixels of a small primitive, one by one.
+#[derive(Debug, Clone)]
+pub struct Pixels {
+    /// Columns in the image. There is room for whole vectors.
+    x: [f64; FEW + LANES],
+    /// Rows.
+    y: [f64; FEW + LANES],
+    /// Indices in the tile.
+    places: [u32; FEW],
+    count: usize,
+}
+
+impl Default for Pixels {
+    fn default() -> Self {
+        Self { x: [0.0; FEW + LANES], y: [0.0; FEW + LANES], places: [0; FEW], count: 0 }
+    }
+}
+
+impl Pixels {
+    /// No pixels.
+    pub fn clear(&mut self) {
+        self.count = 0;
+    }
+
+    /// Lists the pixels of some runs, which are no more than [`FEW`].
+    #[inline(always)]
+    #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+    pub fn list(&mut self, runs: &[Run]) {
+        let mut next = 0;
+        for run in runs {
+            let (x, y) = (f64::from(run.x), f64::from(run.y));
+            let mut i = 0;
+            while i < run.len && next < FEW {
+                self.x[next] = x + f64::from(i);
+                self.y[next] = y;
+                self.places[next] = run.first + i;
+                (next, i) = (next + 1, i + 1);
+            }
+        }
+        self.count = next;
+    }
+
+    /// The pixels' indices in the tile.
+    pub fn places(&self) -> &[u32] {
+        &self.places[..self.count]
+    }
+}
+
+impl Plane {
+    /// The depths of a small triangle's pixels, into `depth`, which has room for [`LANES`] more.
+    #[inline(always)]
+    #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+    pub fn depths_of(&self, pixels: &Pixels, depth: &mut [f32]) {
+        depths_of(self, pixels, depth);
+    }
+
+    /// The depths of all pixels of the runs, one after the other in `depth`, which has room for [`LANES`] more.
+    #[inline(always)]
+    #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+    pub fn depths_along(&self, runs: &[Run], depth: &mut [f32]) {
+        depths_along(self, runs, depth);
+    }
+
+    /// Sub-pixels from the first corner to the centre of the image's first pixel.
+    #[inline(always)]
+    #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+    fn origin_offset(&self) -> (f64, f64) {
+        (f64::from(CENTER - self.origin.0), f64::from(CENTER - self.origin.1))
+    }
+}
+
+#[inline(always)]
+#[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+fn depths_of(plane: &Plane, pixels: &Pixels, depth: &mut [f32]) {
+    let (x0, y0) = plane.origin_offset();
+    if pixels.count <= LANES {
+        // numbers that have just been stored one by one are better loaded so
+        for ((to, x), y) in depth.iter_mut().zip(&pixels.x).zip(&pixels.y).take(pixels.count) {
+            *to = plane.depth(x * f64::from(SUBPIXELS) + x0, y * f64::from(SUBPIXELS) + y0);
+        }
+        return;
+    }
+    let (xs, ys) = (pixels.x.as_chunks::<LANES>().0, pixels.y.as_chunks::<LANES>().0);
+    let depth = depth.as_chunks_mut::<LANES>().0;
+    for ((to, x), y) in depth.iter_mut().zip(xs).zip(ys).take(pixels.count.div_ceil(LANES)) {
+        let (mut dx, mut dy) = ([0.0; LANES], [0.0; LANES]);
+        for lane in 0..LANES {
+            dx[lane] = x[lane] * f64::from(SUBPIXELS) + x0;
+        }
+        for lane in 0..LANES {
+            dy[lane] = y[lane] * f64::from(SUBPIXELS) + y0;
+        }
+        *to = plane.depths(&dx, &dy);
+    }
+}
+
+#[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
+fn depths_along(plane: &Plane, runs: &[Run], depth: &mut [f32]) {
+    let (x0, y0) = plane.origin_offset();
+    let mut next = 0;
+    for run in runs {
+        let x = f64::from(run.x) * f64::from(SUBPIXELS) + x0;
+        let y = [f64::from(run.y) * f64::from(SUBPIXELS) + y0; LANES];
+        let end = next + run.len as usize;
+        let mut x = [x; LANES];
+        step(&mut x, STEPS);
+        while next < end {
+            let depths = plane.depths(&x, &y);
+            depth[next..next + LANES].copy_from_slice(&depths);
+            step(&mut x, [LANES_STEP; LANES]);
+            next += LANES;
+        }
+        next = end;
+    }
+}
+
+/// Sub-pixels from `x` to the right, and on by [`LANES`] pixels.
+#[inline(always)]
+#[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+fn step(x: &mut [f64; LANES], by: [f64; LANES]) {
+    for (x, by) in x.iter_mut().zip(by) {
+        *x += by;
+    }
+}
+
+/// Sub-pixels over [`LANES`] pixels.
+const LANES_STEP: f64 = STEPS[LANES - 1] + SUBPIXELS as f64;
 
 /// A clipped triangle: the pixel's ray against the triangle in view space.
 #[derive(Debug, Clone, Copy)]
@@ -227,8 +349,6 @@ impl Ray<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::random::hash32;
-    use crate::raster::cover::{Rect, doubled_area, spans};
     use crate::scene::{Camera, Projection};
 
     fn projector(projection: Projection) -> Projector {
@@ -268,39 +388,27 @@ mod tests {
     }
 
     #[test]
-    fn edge_functions_cover_what_the_spans_cover() {
-        let rect = Rect { x0: 0, y0: 0, x1: 16, y1: 16 };
-        for n in 0..4000 {
-            // half the coordinates on the grid of centres, so that edges pass through them
-            let at = |k: u32| {
-                let c = (hash32(n, k, 5, 0, 0) % 4096).cast_signed();
-                if hash32(n, k, 6, 0, 0).is_multiple_of(2) { c / 128 * 128 } else { c }
-            };
-            let corner = |k: u32| ScreenVertex { x: at(k), y: at(k + 1), z: 1.0 + f64::from(k) };
-            let triangle = [corner(0), corner(2), corner(4)];
-            let points = triangle.map(|v| (v.x, v.y));
-            if doubled_area(&points) == 0 {
-                continue;
+    fn many_depths_at_once_are_those_of_single_pixels() {
+        let projector = projector(Projection::Perspective { fov_y: 90.0 });
+        let view = corners(&projector, [(1.25, 2.5), (240.75, 30.0), (40.0, 230.125)], [2.0, 5.0, 8.0]);
+        let plane = Plane::new(&view.map(|p| projector.project(p)), true);
+        let run = |x, y, len| Run { x, y, first: 0, len };
+        for runs in
+            [vec![run(60, 80, 1), run(58, 81, 3), run(57, 82, 11)], vec![run(50, 60, 40), run(40, 61, 66)]]
+        {
+            let count: usize = runs.iter().map(|run| run.len as usize).sum();
+            let mut depth = vec![0.0; count + LANES];
+            let pixels = runs.iter().flat_map(|run| (0..run.len.cast_signed()).map(|i| (run.x + i, run.y)));
+            plane.depths_along(&runs, &mut depth);
+            if count <= FEW {
+                let (mut few, mut again) = (Pixels::default(), vec![0.0; count + LANES]);
+                few.list(&runs);
+                plane.depths_of(&few, &mut again);
+                assert_eq!(depth[..count], again[..count]);
             }
-            let (mut by_spans, mut by_edges) = ([[false; 16]; 16], [[false; 16]; 16]);
-            spans(&points, &rect, |y, x0, x1| {
-                (x0..x1)
-                    .for_each(|x| by_spans[usize::try_from(y).unwrap()][usize::try_from(x).unwrap()] = true);
-            });
-            let plane = Plane::new(&triangle, true);
-            for (y, row) in (0..).zip(&mut by_edges) {
-                for x in [0_u8, 8] {
-                    let (mask, depths) = plane.cover(x.into(), y);
-                    for (lane, depth) in depths.into_iter().enumerate() {
-                        let inside = mask >> lane & 1 == 1;
-                        let column = usize::from(x) + lane;
-                        row[column] = inside;
-                        let exact = plane.at(i32::try_from(column).unwrap(), y).depth;
-                        assert!(!inside || depth == exact);
-                    }
-                }
+            for ((x, y), depth) in pixels.zip(depth) {
+                assert_eq!(plane.at(x, y).depth, depth);
             }
-            assert_eq!(by_spans, by_edges, "{points:?}");
         }
     }
 

@@ -1,57 +1,70 @@
 //! A tile's fragments as per-pixel lists: kept as (depth, primitive) and shaded only when they are asked for.
+//!
+//! Eight pixels share a group of rows, a column each, as many rows as the deepest of them has fragments, so that
+//! eight lists are sorted at once. What is missing is [`NOTHING`], which sorts behind everything.
 
 use super::cover::Rect;
-use super::interpolate::{LANES, Surface};
+use super::interpolate::Surface;
+use super::network::{LANES, NOTHING, Row, sort_columns};
+use super::runs::Run;
 use super::shade::{Paint, Premultiplied};
-use super::tile::{Block, Cover, Sink, lanes, pixel_at};
+use super::tile::{Cover, Sink, pixel_at};
 use crate::fragments::{Fragment, Lists};
 use crate::order::sort_key;
+use crate::technique::Finished;
+use multiversion::multiversion;
 
 /// Collects a tile's fragments in submission order.
 #[derive(Default)]
 pub struct TileLists<'a> {
-    rect: Option<Rect>,
+    rect: Rect,
     budget: usize,
-    /// Every block as it came, with the tile's own number of its primitive.
-    arrived: Vec<(Block, u32)>,
-    depth: Vec<[f32; LANES]>,
-    primitives: Vec<(u32, Colors)>,
+    /// Every run as it came, with the tile's own number of its primitive.
+    arrived: Vec<(Run, u32)>,
+    /// The depths of all of them, one after the other.
+    depth: Vec<f32>,
+    /// Of every primitive its id, its one colour, and its place in `varying` if it has several.
+    primitives: Vec<u32>,
+    flat: Vec<Premultiplied>,
+    places: Vec<u32>,
     varying: Vec<(Surface<'a>, Paint)>,
+    /// Whether anything can hide all that is behind it.
+    any_covers: bool,
     counts: Vec<u32>,
-    fragments: usize,
-    /// Per pixel, as `starts` says: depth in the upper half, the primitive's number in the lower, so that the
-    /// integers' order is that of (depth, primitive).
-    packed: Vec<u64>,
+    /// Depth in the upper half of a number, the primitive's number in the lower, so that the integers' order is
+    /// that of (depth, primitive).
+    rows: Vec<Row>,
+    /// Group `g` has the rows `starts[g]..starts[g + 1]`.
     starts: Vec<usize>,
-    cursors: Vec<usize>,
+    cursors: Vec<u32>,
 }
 
-/// A primitive's colours.
-enum Colors {
-    /// One for all pixels.
-    Flat(Premultiplied),
-    /// To be evaluated; the place in `varying`.
-    Varying(usize),
-}
+/// The place of a primitive that is not in `varying`.
+const FLAT: u32 = u32::MAX;
 
 impl TileLists<'_> {
+    /// Pixels whose lists are kept together; batches begin and end at multiples of it.
+    pub const GROUP: usize = LANES;
+
     /// Forgets everything and gets ready for the pixels of `rect`, as long as they have `budget` fragments in
     /// all.
     pub fn begin(&mut self, rect: Rect, budget: usize) {
-        self.rect = Some(rect);
+        self.rect = rect;
         self.budget = budget;
         self.arrived.clear();
         self.depth.clear();
         self.primitives.clear();
+        self.flat.clear();
+        self.places.clear();
         self.varying.clear();
+        self.any_covers = false;
         self.counts.clear();
         self.counts.resize(rect.area(), 0);
-        self.fragments = 0;
     }
 
     /// Whether more fragments came than the budget allows; the lists are incomplete then.
     pub fn is_over_budget(&self) -> bool {
-        self.fragments > self.budget
+        self.depth.len() > self.budget
     }
 
     /// Fragments per pixel.
@@ -60,82 +73,197 @@ impl TileLists<'_> {
     }
 
     /// Distributes what arrived over the pixels, each pixel's in arrival order.
+    #[expect(clippy::cast_possible_truncation, reason = "a tile's budget is far below 2^32")]
     pub fn distribute(&mut self) {
         self.starts.clear();
         self.starts.push(0);
+        self.cursors.clear();
         let mut sum = 0;
-        for &count in &self.counts {
-            sum += count as usize;
+        for counts in self.counts.chunks(LANES) {
+            self.cursors.extend((0..counts.len()).map(|lane| (sum * LANES + lane) as u32));
+            sum += counts.iter().max().map_or(0, |&deepest| deepest as usize);
             self.starts.push(sum);
         }
-        self.cursors.clear();
-        self.cursors.extend_from_slice(&self.starts);
-        self.packed.resize(sum, 0);
-        for ((block, number), depth) in self.arrived.iter().zip(&self.depth) {
-            for lane in lanes(block.mask) {
-                let cursor = &mut self.cursors[block.first as usize + lane];
-                self.packed[*cursor] = sort_key(depth[lane], *number);
-                *cursor += 1;
+        self.rows.clear();
+        self.rows.resize(sum, [NOTHING; LANES]);
+        // what NOTHING is taken for
+        self.flat.push([0.0; 4]);
+        self.places.push(FLAT);
+        let places = self.rows.as_flattened_mut();
+        let mut depth = &self.depth[..];
+        for &(run, number) in &self.arrived {
+            let (now, later) = depth.split_at(run.len as usize);
+            depth = later;
+            for (cursor, &z) in self.cursors[run.pixels()].iter_mut().zip(now) {
+                places[*cursor as usize] = f64::from_bits(sort_key(z, number));
+                *cursor += LANES as u32;
             }
         }
     }
 
     /// Sorts the fragments of pixels `first..last` by (depth, primitive).
     pub fn sort(&mut self, first: usize, last: usize) {
-        for pixel in first..last {
-            self.packed[self.starts[pixel]..self.starts[pixel + 1]].sort_unstable();
-        }
+        sort_columns(&mut self.rows, &self.starts[first / LANES..=last.div_ceil(LANES)]);
+    }
+
+    /// The list of a pixel, in the order it is in.
+    fn list(&self, pixel: usize) -> impl Iterator<Item = f64> {
+        let (group, lane) = (pixel / LANES, pixel % LANES);
+        let rows = &self.rows[self.starts[group]..][..self.counts[pixel] as usize];
+        rows.iter().map(move |row| row[lane])
     }
 
     /// Shades the fragments of pixels `first..last` into `out`, in the order they are in.
     pub fn shade(&self, first: usize, last: usize, out: &mut Lists) {
         out.clear();
-        let rect = self.rect.unwrap_or(Rect { x0: 0, y0: 0, x1: 1, y1: 1 });
         for pixel in first..last {
-            for &packed in &self.packed[self.starts[pixel]..self.starts[pixel + 1]] {
+            for packed in self.list(pixel) {
                 let (depth, number) = unpack(packed);
-                let (primitive, colors) = &self.primitives[number];
-                let [r, g, b, alpha] = match colors {
-                    Colors::Flat(color) => *color,
-                    Colors::Varying(place) => {
-                        let (surface, paint) = &self.varying[*place];
-                        let (x, y) = pixel_at(&rect, pixel);
-                        paint.at(&surface.at(x, y))
-                    }
-                };
-                out.push(Fragment { depth, color: [r, g, b], alpha, primitive: *primitive });
+                let [r, g, b, alpha] = self.color(number, pixel);
+                let primitive = self.primitives[number];
+                out.push(Fragment { depth, color: [r, g, b], alpha, primitive });
             }
             out.end_row();
         }
     }
+
+    #[inline]
+    fn color(&self, number: usize, pixel: usize) -> Premultiplied {
+        match self.places[number] {
+            FLAT => self.flat[number],
+            place => self.shaded(place as usize, pixel),
+        }
+    }
+
+    /// The colours of a row's fragments, channel by channel; transparent black where there are none.
+    #[inline(always)]
+    #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+    fn colors_of(&self, row: &Row, pixel: usize) -> [[f32; LANES]; 4] {
+        let mut channels = [[0.0; LANES]; 4];
+        let is_flat = self.varying.is_empty();
+        for lane in 0..LANES {
+            let number = if row[lane] < NOTHING { unpack(row[lane]).1 } else { self.flat.len() - 1 };
+            let color = if is_flat { self.flat[number] } else { self.color(number, pixel + lane) };
+            for channel in 0..4 {
+                channels[channel][lane] = color[channel];
+            }
+        }
+        channels
+    }
+
+    #[cold]
+    fn shaded(&self, place: usize, pixel: usize) -> Premultiplied {
+        let (surface, paint) = &self.varying[place];
+        let (x, y) = pixel_at(&self.rect, pixel);
+        paint.at(&surface.at(x, y))
+    }
+
+    /// Composites sorted lists front to back in double precision (sheet 0.1), and with `skip` no further than to
+    /// where nothing can be seen any more. Gives the number of fragments behind such places.
+    pub fn over(
+        &self,
+        pixels: std::ops::Range<usize>,
+        background: &[[f32; 3]],
+        skip: bool,
+        out: &mut Vec<Finished>,
+    ) -> u64 {
+        out.resize(pixels.len(), [0.0; 4]);
+        over(self, pixels.start, background, skip, out)
+    }
+}
+
+#[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
+fn over(
+    lists: &TileLists<'_>,
+    first: usize,
+    background: &[[f32; 3]],
+    skip: bool,
+    out: &mut [Finished],
+) -> u64 {
+    let mut hidden = 0;
+    let groups = first / LANES..(first + out.len()).div_ceil(LANES);
+    for (group, out) in groups.zip(out.chunks_mut(LANES)) {
+        let pixel = group * LANES;
+        let (mut sums, mut transmittance) = ([[0.0; LANES]; 3], [1.0; LANES]);
+        let rows = &lists.rows[lists.starts[group]..lists.starts[group + 1]];
+        for (i, row) in rows.iter().enumerate() {
+            let [r, g, b, alpha] = lists.colors_of(row, pixel);
+            add(&mut sums[0], &transmittance, &r);
+            add(&mut sums[1], &transmittance, &g);
+            add(&mut sums[2], &transmittance, &b);
+            let mut behind = transmittance;
+            for lane in 0..LANES {
+                behind[lane] *= 1.0 - f64::from(alpha[lane]);
+            }
+            transmittance = behind;
+            if skip && lists.any_covers && transmittance == [0.0; LANES] {
+                let left = rows[i + 1..].as_flattened();
+                hidden += left.iter().map(|&packed| u64::from(packed != NOTHING)).sum::<u64>();
+                break;
+            }
+        }
+        for (lane, out) in out.iter_mut().enumerate() {
+            let [r, g, b] = background[pixel + lane];
+            let (layers, behind) = ([sums[0][lane], sums[1][lane], sums[2][lane], 0.0], [r, g, b, 1.0]);
+            for channel in 0..4 {
+                out[channel] = layers[channel] + transmittance[lane] * f64::from(behind[channel]);
+            }
+        }
+    }
+    hidden
+}
+
+/// `sum += transmittance * channel`
+#[inline(always)]
+#[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+fn add(sum: &mut [f64; LANES], transmittance: &[f64; LANES], channel: &[f32; LANES]) {
+    let mut sums = *sum;
+    for lane in 0..LANES {
+        sums[lane] += transmittance[lane] * f64::from(channel[lane]);
+    }
+    *sum = sums;
 }
 
 /// Depth and primitive number of a packed fragment.
+#[inline(always)]
+#[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
 #[expect(clippy::cast_possible_truncation, reason = "the halves of the key")]
-fn unpack(packed: u64) -> (f32, usize) {
-    (f32::from_bits((packed >> 32) as u32), packed as u32 as usize)
+fn unpack(packed: f64) -> (f32, usize) {
+    let key = packed.to_bits();
+    (f32::from_bits((key >> 32) as u32), key as u32 as usize)
 }
 
 impl<'r> Sink<'r> for TileLists<'r> {
+    const BLOCKS: bool = false;
+
+    #[inline(always)]
+    #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
     fn take(&mut self, cover: &Cover<'_, 'r>) -> bool {
         #[expect(clippy::cast_possible_truncation, reason = "primitives of one tile")]
         let number = self.primitives.len() as u32;
-        for block in cover.blocks {
-            self.fragments += block.mask.count_ones() as usize;
-            for lane in lanes(block.mask) {
-                self.counts[block.first as usize + lane] += 1;
+        for &run in cover.runs {
+            self.counts[run.pixels()].iter_mut().for_each(|n| *n += 1);
+            self.arrived.push((run, number));
+        }
+        match cover.constant_depth {
+            Some(depth) => self.depth.resize(self.depth.len() + cover.pixels, depth),
+            None => self.depth.extend_from_slice(&cover.depth[..cover.pixels]),
+        }
+        self.primitives.push(cover.primitive);
+        match cover.paint {
+            Paint::Flat(color) => {
+                self.any_covers |= color[3] == 1.0;
+                self.flat.push(*color);
+                self.places.push(FLAT);
+            }
+            Paint::Varying(_) => {
+                self.any_covers = true;
+                self.flat.push([0.0; 4]);
+                #[expect(clippy::cast_possible_truncation, reason = "primitives of one tile")]
+                self.places.push(self.varying.len() as u32);
+                self.varying.push((*cover.surface, *cover.paint));
             }
         }
-        self.arrived.extend(cover.blocks.iter().map(|&block| (block, number)));
-        self.depth.extend_from_slice(cover.depth);
-        let colors = match cover.paint {
-            Paint::Flat(color) => Colors::Flat(*color),
-            Paint::Varying(_) => {
-                self.varying.push((*cover.surface, *cover.paint));
-                Colors::Varying(self.varying.len() - 1)
-            }
-        };
-        self.primitives.push((cover.primitive, colors));
         !self.is_over_budget()
     }
 }

@@ -4,16 +4,22 @@ mod clip;
 mod cover;
 mod interpolate;
 mod lists;
+mod network;
+mod occlusion;
 mod project;
+mod runs;
 mod setup;
 mod shade;
 mod tile;
+mod visit;
 
 pub use cover::Rect;
-pub use interpolate::LANES;
 pub use lists::TileLists;
-pub use shade::{AMBIENT, Paint};
-pub use tile::{Block, Cover, Sink, Tile, lanes, pixel_at};
+pub use occlusion::Opaque;
+pub use runs::Run;
+pub use shade::{AMBIENT, Paint, Premultiplied};
+pub use tile::{Cover, Occluded, Sink, Tile, pixel_at};
+pub use visit::Order;
 
 use crate::params::View;
 use crate::scene::Scene;
@@ -61,8 +67,14 @@ impl<'a> Raster<'a> {
     /// Whether nothing at all is to be drawn in the tile.
     pub fn is_empty_tile(&self, column: usize, row: usize) -> bool {
         let tile = row * self.columns() + column;
-        let none = |chunks: &[Chunk]| chunks.iter().all(|chunk| chunk.in_tile(tile).next().is_none());
+        let none = |chunks: &[Chunk]| chunks.iter().all(|chunk| chunk.entries_in(tile).is_empty());
         none(&self.opaque) && none(&self.transparent)
+    }
+    /// The chunks with transparent primitives in the tile, and how many each has.
+    fn transparent_in(&self, (column, row): (usize, usize)) -> impl Iterator<Item = (&Chunk, usize)> {
+        let tile = row * self.columns() + column;
+        let with_count = move |chunk| (chunk, Chunk::entries_in(chunk, tile).len());
+        self.transparent.iter().map(with_count).filter(|(_, count)| *count > 0)
     }
 }
 

@@ -2,6 +2,7 @@
 
 use crate::scene::{Camera, Projection};
 use glam::DVec3;
+use multiversion::multiversion;
 
 /// Sub-pixel steps per pixel: 8 bits, as D3D and Vulkan require.
 pub const SUBPIXELS: i32 = 256;
@@ -25,6 +26,8 @@ pub struct ScreenVertex {
 impl ScreenVertex {
     /// The `x` of vertices beyond a clip plane or the guard band.
     pub const OUTSIDE: i32 = i32::MIN;
+    /// A vertex that was not projected.
+    pub const NOWHERE: Self = Self { x: Self::OUTSIDE, y: 0, z: 0.0 };
 
     /// Whether triangles at this vertex must be clipped.
     pub fn is_outside(&self) -> bool {
@@ -85,6 +88,11 @@ impl Projector {
         ScreenVertex { x: snap(x), y: snap(y), z: p.z }
     }
 
+    /// Projects up to [`BLOCK`] world points at a time.
+    pub fn project_block(&self, points: &[[f64; 3]]) -> [ScreenVertex; BLOCK] {
+        project_block(self, points)
+    }
+
     /// Signed distances of a view-space point to near, far and the four sides of the guard band; inside is
     /// >= 0. Each is linear in the point.
     pub fn clip_distances(&self, p: DVec3) -> [f64; 6] {
@@ -125,10 +133,46 @@ impl Projector {
     }
 }
 
+/// Points that are projected together.
+pub const BLOCK: usize = 16;
+
+#[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
+fn project_block(projector: &Projector, points: &[[f64; 3]]) -> [ScreenVertex; BLOCK] {
+    let mut world = [[0.0; BLOCK]; 3];
+    for (lane, point) in points.iter().enumerate().take(BLOCK) {
+        for axis in 0..3 {
+            world[axis][lane] = point[axis];
+        }
+    }
+    let [x, y, z] = projector.camera.view_lanes(&world);
+    let (near, far) = projector.clip_range();
+    let ((x_min, x_max), (y_min, y_max)) = projector.limits;
+    let mut projected = [ScreenVertex::NOWHERE; BLOCK];
+    for (lane, vertex) in projected.iter_mut().enumerate() {
+        let scale = if projector.perspective { projector.scale / z[lane] } else { projector.scale };
+        let screen_x = projector.center.0 + scale * x[lane];
+        let screen_y = projector.center.1 - scale * y[lane];
+        let inside = near <= z[lane]
+            && z[lane] <= far
+            && x_min <= screen_x
+            && screen_x <= x_max
+            && y_min <= screen_y
+            && screen_y <= y_max;
+        vertex.z = z[lane];
+        if inside {
+            (vertex.x, vertex.y) = (snap(screen_x), snap(screen_y));
+        }
+    }
+    projected
+}
+
 /// The nearest sub-pixel position, ties to even.
+#[inline(always)]
 #[expect(clippy::cast_possible_truncation, reason = "the guard band keeps it within 25 bits")]
 fn snap(pixels: f64) -> i32 {
-    (pixels * f64::from(SUBPIXELS)).round_ties_even() as i32
+    // adding and taking away again rounds to the nearest integer, ties to even, on any instruction set
+    const ROUND: f64 = 6_755_399_441_055_744.0; // 1.5 * 2^52
+    (pixels * f64::from(SUBPIXELS) + ROUND - ROUND) as i32
 }
 
 #[cfg(test)]

@@ -3,7 +3,7 @@
 
 use super::clip::clip;
 use super::cover::{Rect, centers, doubled_area};
-use super::project::{Projector, ScreenVertex};
+use super::project::{BLOCK, Projector, ScreenVertex};
 use super::shade::{Paint, Premultiplied, light};
 use crate::scene::{Mesh, Scene, Shading};
 use glam::DVec3;
@@ -21,13 +21,23 @@ pub struct Triangle {
 }
 
 impl Triangle {
-    /// The pixels of `rect` whose centres the triangle's bounding box holds; may be empty.
-    pub fn bounds(&self, rect: &Rect) -> Rect {
-        let [a, b, c] = &self.vertices;
-        let (x0, x1) = centers(a.x.min(b.x).min(c.x), a.x.max(b.x).max(c.x));
-        let (y0, y1) = centers(a.y.min(b.y).min(c.y), a.y.max(b.y).max(c.y));
-        Rect { x0: x0.max(rect.x0), y0: y0.max(rect.y0), x1: x1.min(rect.x1), y1: y1.min(rect.y1) }
+    /// The corners in sub-pixels.
+    pub fn points(&self) -> [(i32, i32); 3] {
+        self.vertices.map(|v| (v.x, v.y))
     }
+
+    /// Which way round the corners go: 1 clockwise on the screen, -1 counter-clockwise.
+    pub fn sign(&self) -> i32 {
+        if doubled_area(&self.points()) < 0 { -1 } else { 1 }
+    }
+}
+
+/// The pixels of `rect` whose centres can be in the triangle by its bounding box, in rows that have their top in
+/// and their bottom out; may be empty.
+pub fn pixel_bounds([a, b, c]: &[(i32, i32); 3], rect: &Rect) -> Rect {
+    let (x0, x1) = centers(a.0.min(b.0).min(c.0), a.0.max(b.0).max(c.0));
+    let (y0, y1) = centers(a.1.min(b.1).min(c.1), a.1.max(b.1).max(c.1) - 1);
+    Rect { x0: x0.max(rect.x0), y0: y0.max(rect.y0), x1: x1.min(rect.x1), y1: y1.min(rect.y1) }
 }
 
 /// What clipping left of a triangle.
@@ -45,6 +55,29 @@ pub struct Polygon {
 pub enum Primitive<'a> {
     Triangle(&'a Triangle),
     Polygon(&'a Polygon),
+}
+
+impl Primitive<'_> {
+    /// The view depths of the whole triangle's corners.
+    fn corner_depths(&self) -> [f64; 3] {
+        match self {
+            Self::Triangle(t) => t.vertices.map(|v| v.z),
+            Self::Polygon(p) => p.corners.map(|c| c.z),
+        }
+    }
+
+    /// No fragment is nearer than the first or farther than the second, which may lie beyond the clip planes.
+    #[expect(clippy::cast_possible_truncation, reason = "fragments store depth as f32")]
+    pub fn depth_range(&self) -> (f32, f32) {
+        let [a, b, c] = self.corner_depths();
+        (a.min(b).min(c) as f32, a.max(b).max(c) as f32)
+    }
+
+    /// View depth of the whole triangle's centroid.
+    pub fn centroid_depth(&self) -> f64 {
+        let [a, b, c] = self.corner_depths();
+        (a + b + c) / 3.0
+    }
 }
 
 /// The image cut into square tiles.
@@ -126,6 +159,8 @@ impl TileRange {
 const CHUNK_FACES: usize = 16_384;
 /// Faces whose vertices are fetched before the first is used: misses of the cache then overlap.
 const GATHERED: usize = 64;
+/// Blocks of vertices below which a thread of its own is not worth it.
+const BLOCKS: usize = 64;
 /// Marks a bin entry as an index into the polygons.
 const POLYGON_BIT: u32 = 1 << 31;
 
@@ -138,6 +173,8 @@ pub struct Chunk {
     pub first_primitive: u32,
     /// Smallest and largest view depth of the faces' vertices, seen or not.
     pub depth_range: (f64, f64),
+    /// Whether every primitive has one depth.
+    pub faces_camera: bool,
     triangles: Vec<Triangle>,
     polygons: Vec<Polygon>,
     /// Entries of tile `t` are `entries[starts[t]..starts[t + 1]]`.
@@ -148,15 +185,23 @@ pub struct Chunk {
 impl Chunk {
     /// The primitives that touch tile `tile`, in submission order.
     pub fn in_tile(&self, tile: usize) -> impl Iterator<Item = Primitive<'_>> {
-        let range = if self.starts.is_empty() {
-            0..0
-        } else {
-            self.starts[tile] as usize..self.starts[tile + 1] as usize
-        };
-        self.entries[range].iter().map(|&entry| match entry & POLYGON_BIT {
+        self.entries_in(tile).iter().map(|&entry| self.primitive(entry))
+    }
+
+    /// The same as numbers for [`Chunk::primitive`].
+    pub fn entries_in(&self, tile: usize) -> &[u32] {
+        match self.starts.get(tile..=tile + 1) {
+            Some(&[start, end]) => &self.entries[start as usize..end as usize],
+            _ => &[],
+        }
+    }
+
+    /// The primitive of this number.
+    pub fn primitive(&self, entry: u32) -> Primitive<'_> {
+        match entry & POLYGON_BIT {
             0 => Primitive::Triangle(&self.triangles[entry as usize]),
             _ => Primitive::Polygon(&self.polygons[(entry & !POLYGON_BIT) as usize]),
-        })
+        }
     }
 }
 
@@ -166,8 +211,11 @@ struct Job<'a> {
     index: usize,
     first_primitive: u32,
     faces: Range<usize>,
-    screen: &'a [ScreenVertex],
+    screen: &'a Screen,
 }
+
+/// The projected vertices of a mesh.
+type Screen = Vec<[ScreenVertex; BLOCK]>;
 
 /// Projects, clips, culls and bins the scene's primitives: first the chunks of opaque meshes, then those of
 /// transparent ones, each in submission order. Empty when `stop` says so meanwhile.
@@ -177,14 +225,13 @@ pub fn set_up(
     tiling: &Tiling,
     stop: &(dyn Fn() -> bool + Sync),
 ) -> (Vec<Chunk>, Vec<Chunk>) {
-    let screen: Vec<Vec<ScreenVertex>> = scene
+    let project = |block: &[[f64; 3]]| {
+        if stop() { [ScreenVertex::NOWHERE; BLOCK] } else { projector.project_block(block) }
+    };
+    let screen: Vec<Screen> = scene
         .meshes()
         .iter()
-        .map(|mesh| {
-            let project = |v: &[f64; 3]| projector.project(projector.view_point(*v));
-            let run = |run: &[[f64; 3]]| if stop() { vec![] } else { run.iter().map(project).collect() };
-            mesh.vertices().par_chunks(CHUNK_FACES).flat_map_iter(run).collect()
-        })
+        .map(|mesh| mesh.vertices().par_chunks(BLOCK).with_min_len(BLOCKS).map(project).collect())
         .collect();
     let mut jobs = (Vec::new(), Vec::new());
     let mut first_primitive = 0;
@@ -217,6 +264,7 @@ impl Job<'_> {
             mesh: self.index,
             first_primitive: self.first_primitive,
             depth_range: (f64::INFINITY, f64::NEG_INFINITY),
+            faces_camera: true,
             triangles: Vec::with_capacity(self.faces.len()),
             polygons: Vec::new(),
             starts: Vec::new(),
@@ -227,7 +275,8 @@ impl Job<'_> {
         for first in self.faces.clone().step_by(GATHERED) {
             let faces = first..(first + GATHERED).min(self.faces.end);
             gathered.clear();
-            let corners = |face: &[u32; 3]| face.map(|v| self.screen[v as usize]);
+            let screen = self.screen.as_flattened();
+            let corners = |face: &[u32; 3]| face.map(|v| screen[v as usize]);
             gathered.extend(self.mesh.faces()[faces.clone()].iter().map(corners));
             for (face, vertices) in faces.zip(&gathered) {
                 touched.extend(self.face(face, vertices, projector, tiling, &mut chunk));
@@ -253,6 +302,7 @@ impl Job<'_> {
         }
         if vertices.iter().any(ScreenVertex::is_outside) {
             let (polygon, tiles) = self.clipped(face, projector, tiling)?;
+            chunk.faces_camera &= polygon.corners.iter().all(|c| c.z == polygon.corners[0].z);
             chunk.polygons.push(polygon);
             return Some(((chunk.polygons.len() - 1) as u32 | POLYGON_BIT, tiles));
         }
@@ -269,6 +319,7 @@ impl Job<'_> {
             Paint::Flat(color) => Some(color),
             Paint::Varying(_) => None,
         };
+        chunk.faces_camera &= vertices.iter().all(|v| v.z == vertices[0].z);
         chunk.triangles.push(Triangle { face: face as u32, light, vertices: *vertices, flat });
         Some(((chunk.triangles.len() - 1) as u32, tiles))
     }

@@ -1,32 +1,33 @@
-//! One tile: the opaque surfaces first, then the transparent ones in submission order, handed over as blocks of
-//! pixels.
+//! One tile: the opaque surfaces first, then the transparent ones in the order that is asked for, handed over as
+//! runs of pixels.
 
 use super::Raster;
 use super::cover::{Rect, spans};
-use super::interpolate::{Hit, LANES, LANES_I32, Plane, Ray, Surface};
-use super::setup::{Chunk, Primitive};
+use super::interpolate::{FEW, LANES, Pixels, Plane, Ray, Surface};
+use super::occlusion::Opaque;
+use super::runs::{Run, is_tiny, tiny_runs, triangle_runs};
+use super::setup::{Chunk, Primitive, pixel_bounds};
 use super::shade::{Paint, Shade};
-use crate::order::sort_key;
+use super::visit::{Order, Visits};
+use crate::lanes::{Block, push_blocks};
 use multiversion::multiversion;
-
-/// Up to [`LANES`] neighbouring pixels of a row that one primitive covers.
-#[derive(Debug, Clone, Copy)]
-pub struct Block {
-    /// Index of the first pixel in the tile.
-    pub first: u32,
-    /// One bit per pixel that is covered and not hidden.
-    pub mask: u8,
-}
 
 /// The visible pixels of one transparent primitive in a tile.
 #[derive(Debug, Clone, Copy)]
 pub struct Cover<'a, 'r> {
     /// Primitive id.
     pub primitive: u32,
-    /// Where it is.
+    /// Where it is, row by row from the top.
+    pub runs: &'a [Run],
+    /// The number of pixels in them.
+    pub pixels: usize,
+    /// The indices of all pixels in the tile, run after run, if they are few; empty otherwise.
+    pub places: &'a [u32],
+    /// The runs as blocks, if there are many pixels; empty otherwise.
     pub blocks: &'a [Block],
-    /// Depths per block. Outside the mask they mean nothing, but are finite.
-    pub depth: &'a [[f32; LANES]],
+    /// The depth of every pixel, run after run; empty if it is constant. There are [`LANES`] more numbers than
+    /// pixels, finite ones.
+    pub depth: &'a [f32],
     /// The depth everywhere, if it is constant.
     pub constant_depth: Option<f32>,
     /// Geometry, for what is shaded later.
@@ -35,39 +36,52 @@ pub struct Cover<'a, 'r> {
     pub paint: &'a Paint,
 }
 
+impl Cover<'_, '_> {
+    /// Whether the pixels are listed one by one.
+    pub fn is_small(&self) -> bool {
+        self.pixels <= FEW
+    }
+}
+
 /// What becomes of a tile's transparent fragments.
 pub trait Sink<'r> {
+    /// Whether many pixels are wanted as blocks, too.
+    const BLOCKS: bool;
+
     /// Takes a primitive's pixels; false to be given no more.
     fn take(&mut self, cover: &Cover<'_, 'r>) -> bool;
 }
 
-/// A tile being rasterised; keep it and its memory is reused.
-#[derive(Debug)]
-pub struct Tile {
-    rect: Rect,
-    /// (depth, primitive) of the opaque surface at each pixel; empty while there is none.
-    opaque: Vec<u64>,
-    /// What is behind the transparent fragments of each pixel.
-    background: Vec<[f32; 3]>,
-    occluded: u64,
-    blocks: Vec<Block>,
-    depth: Vec<[f32; LANES]>,
+/// What was left out of a tile because opaque surfaces hide it.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Occluded {
+    /// Fragments that were found hidden one by one.
+    pub fragments: u64,
+    /// Primitives that were found hidden as a whole, once per tile.
+    pub primitives: u64,
 }
 
-/// The opaque key of a pixel without an opaque surface.
-const NOTHING_OPAQUE: u64 = u64::MAX;
-
-impl Default for Tile {
-    fn default() -> Self {
-        Self {
-            rect: Rect { x0: 0, y0: 0, x1: 0, y1: 0 },
-            opaque: Vec::new(),
-            background: Vec::new(),
-            occluded: 0,
-            blocks: Vec::new(),
-            depth: Vec::new(),
-        }
+impl Occluded {
+    /// Adds another tile's.
+    pub fn add(&mut self, other: Self) {
+        self.fragments += other.fragments;
+        self.primitives += other.primitives;
     }
+}
+
+/// A tile being rasterised; keep it and its memory is reused.
+#[derive(Debug, Default)]
+pub struct Tile {
+    rect: Rect,
+    opaque: Opaque,
+    occluded: Occluded,
+    visits: Visits,
+    runs: Vec<Run>,
+    /// The runs that `hide` and `cut_out` leave.
+    kept: Vec<Run>,
+    depth: Vec<f32>,
+    few: Pixels,
+    blocks: Vec<Block>,
 }
 
 impl Tile {
@@ -75,196 +89,293 @@ impl Tile {
     pub fn begin(
         &mut self,
         raster: &Raster<'_>,
-        (column, row): (usize, usize),
+        tile: (usize, usize),
         rect: Rect,
+        skip: bool,
         stop: &dyn Fn() -> bool,
     ) -> bool {
         self.rect = rect;
-        self.occluded = 0;
-        self.opaque.clear();
-        self.background.clear();
-        self.background.resize(rect.area(), raster.scene.background());
-        for_each_primitive(raster, &raster.opaque, (column, row), stop, |chunk, primitive| {
-            self.opaque.resize(rect.area(), NOTHING_OPAQUE);
+        self.occluded = Occluded::default();
+        self.opaque.begin(rect.area(), raster.background());
+        let finished = for_each_primitive(raster, &raster.opaque, tile, stop, |chunk, primitive| {
             let (id, surface, paint) = raster.primitive(chunk, primitive);
+            self.opaque.make_room();
             primitive_spans(primitive, &rect, |y, x0, x1| {
                 for x in x0..x1 {
-                    self.draw_opaque(index_in(&rect, x, y), &surface.at(x, y), id, &paint);
+                    self.opaque.draw(index_in(&rect, x, y), &surface.at(x, y), id, &paint);
                 }
             });
             true
-        })
+        });
+        self.opaque.finish(skip);
+        finished
     }
 
-    fn draw_opaque(&mut self, i: usize, hit: &Hit, primitive: u32, paint: &Paint) {
-        let key = sort_key(hit.depth, primitive);
-        if key < self.opaque[i] && paint.passes(hit) {
-            let [r, g, b, _] = paint.at(hit);
-            self.opaque[i] = key;
-            self.background[i] = [r, g, b];
-        }
+    /// The opaque surfaces and what else is behind each pixel.
+    pub fn background(&self) -> &Opaque {
+        &self.opaque
     }
-
-    /// The pixels.
-    pub fn rect(&self) -> Rect {
-        self.rect
-    }
-    /// The opaque colour behind each pixel.
-    pub fn background(&self) -> &[[f32; 3]] {
-        &self.background
-    }
-    /// Transparent fragments that were found hidden behind opaque surfaces.
-    pub fn occluded(&self) -> u64 {
+    /// What was found hidden behind opaque surfaces by the last call of [`Tile::transparent`].
+    pub fn occluded(&self) -> Occluded {
         self.occluded
     }
 
-    /// Hands the transparent primitives to `sink` in submission order, those of their pixels left out that lie
+    /// Whether the tile's transparent primitives come front to back as a whole in [`Order::FrontToBack`]: none
+    /// has pixels behind the nearest of a later one.
+    pub fn is_layered(&mut self, raster: &Raster<'_>, tile: (usize, usize)) -> bool {
+        self.visits.front_to_back(raster, tile)
+    }
+
+    /// Hands the transparent primitives to `sink` in the given order, those of their pixels left out that lie
     /// behind an opaque surface or are masked out. False when stopped, by `stop` or by the sink.
     pub fn transparent<'r>(
         &mut self,
         raster: &'r Raster<'_>,
         tile: (usize, usize),
+        order: Order,
         sink: &mut impl Sink<'r>,
         stop: &dyn Fn() -> bool,
     ) -> bool {
-        for_each_primitive(raster, &raster.transparent, tile, stop, |chunk, primitive| {
-            let (id, surface, paint) = raster.primitive(chunk, primitive);
-            let constant_depth = surface.constant_depth();
-            self.cover(primitive, &surface, constant_depth);
-            if self.blocks.is_empty() {
-                return true;
+        self.occluded = Occluded::default();
+        self.depth.resize(self.rect.area() + 2 * LANES, 0.0);
+        if order != Order::Submission {
+            let mut visits = std::mem::take(&mut self.visits);
+            visits.arrange(raster, tile, order);
+            let finished = hand_over_arranged(self, raster, &visits, sink, stop);
+            self.visits = visits;
+            return finished;
+        }
+        hand_over_submitted(self, raster, tile, sink, stop)
+    }
+
+    #[inline(always)]
+    #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+    fn hand_over<'r, K: Sink<'r>>(
+        &mut self,
+        raster: &'r Raster<'_>,
+        chunk: &Chunk,
+        primitive: Primitive<'_>,
+        sink: &mut K,
+    ) -> bool {
+        let behind = self.opaque.is_any() && self.opaque.hides_all(primitive.depth_range().0);
+        self.occluded.primitives += u64::from(behind);
+        let pixels = if behind { 0 } else { self.cover(primitive) };
+        if pixels == 0 {
+            return true;
+        }
+        let perspective = raster.projector.is_perspective();
+        let mesh = &raster.scene.meshes()[chunk.mesh];
+        match primitive {
+            Primitive::Triangle(t) => {
+                let surface = Surface::Plane(Plane::new(&t.vertices, perspective));
+                let paint = match t.flat {
+                    Some(color) => Paint::Flat(color),
+                    None => Paint::new(mesh, t.face as usize, t.light),
+                };
+                self.show(pixels, chunk.first_primitive + t.face, &surface, &paint, sink)
             }
-            if !self.opaque.is_empty() {
-                self.hide();
+            Primitive::Polygon(p) => {
+                let surface = Surface::Ray(Ray::new(&raster.projector, p.corners));
+                let paint = Paint::new(mesh, p.face as usize, p.light);
+                self.show(pixels, chunk.first_primitive + p.face, &surface, &paint, sink)
             }
-            if let Paint::Varying(shade) = &paint
-                && shade.is_masked()
-            {
-                self.cut_out(&surface, shade);
-            }
-            let (blocks, depth) = (&self.blocks[..], &self.depth[..]);
-            sink.take(&Cover {
-                primitive: id,
-                blocks,
-                depth,
-                constant_depth,
-                surface: &surface,
-                paint: &paint,
-            })
+        }
+    }
+
+    /// Hands over what is visible of a primitive's pixels.
+    #[inline(always)]
+    #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+    fn show<'r, K: Sink<'r>>(
+        &mut self,
+        mut pixels: usize,
+        primitive: u32,
+        surface: &Surface<'r>,
+        paint: &Paint,
+        sink: &mut K,
+    ) -> bool {
+        let constant_depth = surface.constant_depth();
+        self.list_places::<K>(pixels);
+        if constant_depth.is_none() {
+            self.depths(surface, pixels);
+        }
+        let all = pixels;
+        if self.opaque.is_any() && self.opaque.may_hide(surface.farthest()) {
+            pixels = self.hide(constant_depth);
+        }
+        if let Paint::Varying(shade) = paint
+            && shade.is_masked()
+        {
+            pixels = self.cut_out(surface, shade, constant_depth);
+        }
+        if pixels == 0 {
+            return true;
+        }
+        if pixels != all {
+            self.list_places::<K>(pixels);
+        }
+        sink.take(&Cover {
+            primitive,
+            runs: &self.runs,
+            pixels,
+            places: self.few.places(),
+            blocks: &self.blocks,
+            depth: if constant_depth.is_some() { &[] } else { &self.depth[..pixels + LANES] },
+            constant_depth,
+            surface,
+            paint,
         })
     }
 
-    /// Finds the primitive's blocks and their depths.
-    fn cover(&mut self, primitive: Primitive<'_>, surface: &Surface<'_>, constant_depth: Option<f32>) {
+    /// Finds the primitive's runs; the number of its pixels.
+    #[inline(always)]
+    #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+    fn cover(&mut self, primitive: Primitive<'_>) -> usize {
+        let (rect, runs) = (self.rect, &mut self.runs);
+        runs.clear();
+        match primitive {
+            Primitive::Triangle(triangle) => {
+                let points = triangle.points();
+                let bounds = pixel_bounds(&points, &rect);
+                if bounds.x0 >= bounds.x1 || bounds.y0 >= bounds.y1 {
+                    return 0;
+                }
+                let sign = triangle.sign();
+                if is_tiny(&points, &bounds) {
+                    return tiny_runs(points, sign, &rect, &bounds, runs);
+                }
+                triangle_runs(points, f64::from(sign), &rect, &bounds, runs)
+            }
+            Primitive::Polygon(polygon) => {
+                let mut pixels = 0;
+                spans(&polygon.points, &rect, |y, x0, x1| {
+                    #[expect(clippy::cast_possible_truncation, reason = "pixels of a tile")]
+                    runs.push(Run {
+                        x: x0,
+                        y,
+                        first: index_in(&rect, x0, y) as u32,
+                        len: (x1 - x0).cast_unsigned(),
+                    });
+                    pixels += (x1 - x0).cast_unsigned() as usize;
+                });
+                pixels
+            }
+        }
+    }
+
+    /// The runs' pixels one by one, or block by block if they are many.
+    #[inline(always)]
+    #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+    fn list_places<'r, K: Sink<'r>>(&mut self, pixels: usize) {
+        self.few.clear();
         self.blocks.clear();
-        self.depth.clear();
-        if let (Primitive::Triangle(triangle), Surface::Plane(plane)) = (primitive, surface) {
-            let bounds = triangle.bounds(&self.rect);
-            if bounds.x0 >= bounds.x1 || bounds.y0 >= bounds.y1 {
-                return;
-            }
-            if bounds.width() <= SMALL && bounds.height() <= SMALL {
-                return cover_small(plane, &self.rect, &bounds, &mut self.blocks, &mut self.depth);
-            }
-        }
-        self.cover_spans(primitive);
-        match constant_depth {
-            Some(depth) => self.depth.resize(self.blocks.len(), [depth; LANES]),
-            None => depths(surface, &self.rect, &self.blocks, &mut self.depth),
+        if pixels <= FEW {
+            self.few.list(&self.runs);
+        } else if K::BLOCKS {
+            self.runs.iter().for_each(|run| push_blocks(run.first, run.len, &mut self.blocks));
         }
     }
 
-    /// Cuts the primitive's spans into blocks.
-    fn cover_spans(&mut self, primitive: Primitive<'_>) {
-        let (rect, blocks) = (self.rect, &mut self.blocks);
-        primitive_spans(primitive, &rect, |y, x0, x1| {
-            let mut x = x0;
-            while x < x1 {
-                let left = x1 - x;
-                let mask = if left < LANES_I32 { (1 << left) - 1 } else { !0 };
-                #[expect(clippy::cast_possible_truncation, reason = "pixels of a tile")]
-                blocks.push(Block { first: index_in(&rect, x, y) as u32, mask });
-                x += LANES_I32;
-            }
-        });
-    }
-
-    /// Takes the pixels behind opaque surfaces out of the blocks.
-    fn hide(&mut self) {
-        for (block, depths) in self.blocks.iter_mut().zip(&self.depth) {
-            for (lane, depth) in lanes(block.mask).map(|lane| (lane, depths[lane])) {
-                if depth > opaque_depth(self.opaque[block.first as usize + lane]) {
-                    block.mask &= !(1 << lane);
-                    self.occluded += 1;
+    /// The depths of all runs.
+    #[inline(always)]
+    #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+    fn depths(&mut self, surface: &Surface<'_>, pixels: usize) {
+        match surface {
+            Surface::Plane(plane) if pixels <= FEW => plane.depths_of(&self.few, &mut self.depth),
+            Surface::Plane(plane) => plane.depths_along(&self.runs, &mut self.depth),
+            Surface::Ray(_) => {
+                let pixels =
+                    self.runs.iter().flat_map(|run| (0..run.len.cast_signed()).map(|i| (run.x + i, run.y)));
+                for (depth, (x, y)) in self.depth.iter_mut().zip(pixels) {
+                    *depth = surface.at(x, y).depth;
                 }
             }
         }
     }
 
-    /// Takes the pixels that a mask discards out of the blocks.
-    fn cut_out(&mut self, surface: &Surface<'_>, shade: &Shade) {
-        for block in &mut self.blocks {
-            for lane in lanes(block.mask) {
-                let (x, y) = pixel_at(&self.rect, block.first as usize + lane);
-                if !shade.passes(&surface.at(x, y)) {
-                    block.mask &= !(1 << lane);
-                }
-            }
-        }
+    /// Leaves out the pixels behind opaque surfaces.
+    fn hide(&mut self, constant_depth: Option<f32>) -> usize {
+        let (opaque, occluded) = (&self.opaque, &mut self.occluded.fragments);
+        retain(&mut self.runs, &mut self.kept, &mut self.depth, constant_depth, |i, _, _, depth| {
+            let visible = !opaque.hides(i, depth);
+            *occluded += u64::from(!visible);
+            visible
+        })
+    }
+
+    /// Leaves out the pixels that a mask discards.
+    fn cut_out(&mut self, surface: &Surface<'_>, shade: &Shade, constant_depth: Option<f32>) -> usize {
+        retain(&mut self.runs, &mut self.kept, &mut self.depth, constant_depth, |_, x, y, _| {
+            shade.passes(&surface.at(x, y))
+        })
     }
 }
 
-/// Triangles no larger than this, in pixels, are tested pixel by pixel: following their edges costs more.
-const SMALL: usize = 16;
-
-/// The blocks of a small triangle: all of its bounding box, by edge functions that its depth needs anyway.
-#[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
-fn cover_small(
-    plane: &Plane,
-    rect: &Rect,
-    bounds: &Rect,
-    blocks: &mut Vec<Block>,
-    depth: &mut Vec<[f32; LANES]>,
-) {
-    for y in bounds.y0..bounds.y1 {
-        let mut x = bounds.x0;
-        while x < bounds.x1 {
-            let left = bounds.x1 - x;
-            let valid = if left < LANES_I32 { (1 << left) - 1 } else { !0 };
-            let (inside, depths) = plane.cover(x, y);
-            let mask = inside & valid;
-            if mask != 0 {
-                #[expect(clippy::cast_possible_truncation, reason = "pixels of a tile")]
-                blocks.push(Block { first: index_in(rect, x, y) as u32, mask });
-                depth.push(depths);
-            }
-            x += LANES_I32;
-        }
-    }
-}
-
-/// The depths of all blocks.
-#[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
-fn depths(surface: &Surface<'_>, rect: &Rect, blocks: &[Block], depth: &mut Vec<[f32; LANES]>) {
-    depth.extend(blocks.iter().map(|block| {
-        let (x, y) = pixel_at(rect, block.first as usize);
-        surface.depths(x, y)
-    }));
-}
-
-/// The lanes whose bit is set, ascending.
-pub fn lanes(mask: u8) -> impl Iterator<Item = usize> {
-    let mut left = mask;
-    std::iter::from_fn(move || {
-        let lane = left.trailing_zeros() as usize;
-        left &= left.wrapping_sub(1);
-        (lane < LANES).then_some(lane)
+/// The primitives as they were submitted. From here on everything is inlined, so that all of it is compiled for
+/// the instruction set at hand.
+#[multiversion(
+    targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"),
+    dispatcher = "direct"
+)]
+fn hand_over_submitted<'r, K: Sink<'r>>(
+    tile: &mut Tile,
+    raster: &'r Raster<'_>,
+    place: (usize, usize),
+    sink: &mut K,
+    stop: &dyn Fn() -> bool,
+) -> bool {
+    for_each_primitive(raster, &raster.transparent, place, stop, |chunk, primitive| {
+        tile.hand_over(raster, chunk, primitive, sink)
     })
 }
 
-/// Depth of the opaque surface behind `key`; infinite where there is none.
-fn opaque_depth(key: u64) -> f32 {
-    if key == NOTHING_OPAQUE { f32::INFINITY } else { f32::from_bits((key >> 32) as u32) }
+/// The primitives as they were arranged.
+#[multiversion(
+    targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"),
+    dispatcher = "direct"
+)]
+fn hand_over_arranged<'r, K: Sink<'r>>(
+    tile: &mut Tile,
+    raster: &'r Raster<'_>,
+    visits: &Visits,
+    sink: &mut K,
+    stop: &dyn Fn() -> bool,
+) -> bool {
+    for (i, (_, chunk, primitive)) in visits.iter(raster).enumerate() {
+        if (i % 64 == 0 && stop()) || !tile.hand_over(raster, chunk, primitive, sink) {
+            return false;
+        }
+    }
+    true
+}
+
+/// Keeps the pixels that `keep(index, x, y, depth)` wants; their number.
+fn retain(
+    runs: &mut Vec<Run>,
+    kept: &mut Vec<Run>,
+    depth: &mut [f32],
+    constant_depth: Option<f32>,
+    mut keep: impl FnMut(usize, i32, i32, f32) -> bool,
+) -> usize {
+    kept.clear();
+    let (mut from, mut to) = (0, 0);
+    for run in runs.iter() {
+        let mut open: Option<Run> = None;
+        for i in 0..run.len {
+            let (x, first) = (run.x + i.cast_signed(), run.first + i);
+            let z = constant_depth.unwrap_or(depth[from]);
+            from += 1;
+            if keep(first as usize, x, run.y, z) {
+                depth[to] = z;
+                to += 1;
+                open.get_or_insert(Run { x, y: run.y, first, len: 0 }).len += 1;
+            } else {
+                kept.extend(open.take());
+            }
+        }
+        kept.extend(open);
+    }
+    std::mem::swap(runs, kept);
+    to
 }
 
 #[expect(clippy::cast_sign_loss, reason = "the pixel lies in the tile")]
@@ -282,12 +393,14 @@ pub fn pixel_at(rect: &Rect, i: usize) -> (i32, i32) {
 
 fn primitive_spans(primitive: Primitive<'_>, rect: &Rect, span: impl FnMut(i32, i32, i32)) {
     match primitive {
-        Primitive::Triangle(t) => spans(&t.vertices.map(|v| (v.x, v.y)), rect, span),
+        Primitive::Triangle(t) => spans(&t.points(), rect, span),
         Primitive::Polygon(p) => spans(&p.points, rect, span),
     }
 }
 
 /// Visits the primitives of a tile in submission order until `visit` says no; false when stopped on the way.
+#[inline(always)]
+#[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
 fn for_each_primitive<'a>(
     raster: &Raster<'_>,
     chunks: &'a [Chunk],

@@ -3,7 +3,7 @@
 use super::{Options, with_threads};
 use crate::error::{Error, Result};
 use crate::fragments::{Background, Fragments, Lists};
-use crate::raster::{self, Raster, Rect, Tile, TileLists};
+use crate::raster::{self, Order, Raster, Rect, Tile, TileLists};
 use crate::scene::Scene;
 use rayon::prelude::*;
 
@@ -50,13 +50,15 @@ fn tile(
     let rect = raster.rect(place.0, place.1);
     let (mut tile, mut collected, mut lists) = (Tile::default(), TileLists::default(), Lists::new());
     collected.begin(rect, usize::MAX);
-    if tile.begin(raster, place, rect, stop) && tile.transparent(raster, place, &mut collected, stop) {
+    if tile.begin(raster, place, rect, true, stop)
+        && tile.transparent(raster, place, Order::Submission, &mut collected, stop)
+    {
         collected.distribute();
         collected.shade(0, rect.area(), &mut lists);
     } else {
         lists = Lists::empty_rows(rect.area());
     }
-    (rect, lists, tile.background().to_vec())
+    (rect, lists, tile.background().colors().to_vec())
 }
 
 fn interleave(tiles: &[(Rect, Lists, Vec<[f32; 3]>)]) -> (Lists, Vec<[f32; 3]>) {

@@ -2,7 +2,7 @@
 
 use super::{Options, Source, Workers, with_threads};
 use crate::error::{Error, Result};
-use crate::raster::{Cover, Raster, Rect, Sink, Tile, lanes};
+use crate::raster::{Cover, Order, Raster, Rect, Sink, Tile};
 use crate::scene::Scene;
 use rayon::prelude::*;
 
@@ -48,13 +48,13 @@ struct TileDepth {
 }
 
 impl<'r> Sink<'r> for TileDepth {
+    const BLOCKS: bool = false;
+
     fn take(&mut self, cover: &Cover<'_, 'r>) -> bool {
-        for (block, depths) in cover.blocks.iter().zip(cover.depth) {
-            for lane in lanes(block.mask) {
-                let pixel = block.first as usize + lane;
-                self.first_depth[pixel] = self.first_depth[pixel].min(depths[lane]);
-                self.fragment_count[pixel] += 1;
-            }
+        for (i, pixel) in cover.runs.iter().flat_map(|run| run.pixels()).enumerate() {
+            let depth = cover.constant_depth.unwrap_or_else(|| cover.depth[i]);
+            self.first_depth[pixel] = self.first_depth[pixel].min(depth);
+            self.fragment_count[pixel] += 1;
         }
         true
     }
@@ -90,8 +90,8 @@ fn tile_depth(raster: &Raster<'_>, i: usize, tile: &mut Tile, stop: &dyn Fn() ->
     let rect = raster.rect(place.0, place.1);
     let mut depth =
         TileDepth { first_depth: vec![f32::INFINITY; rect.area()], fragment_count: vec![0; rect.area()] };
-    if tile.begin(raster, place, rect, stop) {
-        tile.transparent(raster, place, &mut depth, stop);
+    if tile.begin(raster, place, rect, true, stop) {
+        tile.transparent(raster, place, Order::Submission, &mut depth, stop);
     }
     (rect, depth)
 }

@@ -3,7 +3,7 @@
 use crate::error::{Error, Result};
 use crate::frame::Sample;
 use crate::raster::Rect;
-use crate::technique::Resolved;
+use crate::technique::{Finished, Resolved};
 
 /// One variant's images.
 #[derive(Debug, Clone)]
@@ -122,27 +122,44 @@ impl<S: Sample> Patch<'_, S> {
 
     /// Stores pixels of variant `v`, beginning with pixel `first` of the part `rect`, row by row.
     pub fn store(&mut self, v: usize, rect: &Rect, first: usize, resolved: &[Resolved]) {
-        let PatchImage { color, transmittance, channels } = &mut self.images[v];
-        #[expect(clippy::cast_sign_loss, reason = "the part lies in the patch")]
-        let (left, top) = ((rect.x0 - self.rect.x0) as usize, (rect.y0 - self.rect.y0) as usize);
-        let mut rest = resolved;
-        let mut at = first;
-        while !rest.is_empty() {
-            let (row, column) = (at / rect.width(), at % rect.width());
-            let (now, later) = rest.split_at(rest.len().min(rect.width() - column));
-            let from = left + column;
-            let colors = color[top + row][3 * from..3 * (from + now.len())].as_chunks_mut::<3>().0;
+        self.rows(v, rect, first, resolved, |colors, shares, channels, now| {
             for (to, pixel) in colors.iter_mut().zip(now) {
                 *to = pixel.color.to_array().map(S::from_f64);
             }
-            let shares = &mut transmittance[top + row][*channels * from..*channels * (from + now.len())];
-            for (to, pixel) in shares.chunks_exact_mut(*channels).zip(now) {
+            for (to, pixel) in shares.chunks_exact_mut(channels).zip(now) {
                 for (to, share) in to.iter_mut().zip(pixel.transmittance.to_array()) {
                     *to = S::from_f64(share);
                 }
             }
-            at += now.len();
-            rest = later;
+        });
+    }
+
+    /// The same for pixels whose background has one share in all channels.
+    pub fn store_finished(&mut self, v: usize, rect: &Rect, first: usize, pixels: &[Finished]) {
+        self.rows(v, rect, first, pixels, |colors, shares, _, now| S::store(now, colors, shares));
+    }
+
+    /// Hands out the rows that some pixels go into: colours, transmittances with so many channels, and the
+    /// pixels.
+    fn rows<P>(
+        &mut self,
+        v: usize,
+        rect: &Rect,
+        first: usize,
+        pixels: &[P],
+        mut store: impl FnMut(&mut [[S; 3]], &mut [S], usize, &[P]),
+    ) {
+        let PatchImage { color, transmittance, channels } = &mut self.images[v];
+        #[expect(clippy::cast_sign_loss, reason = "the part lies in the patch")]
+        let (left, top) = ((rect.x0 - self.rect.x0) as usize, (rect.y0 - self.rect.y0) as usize);
+        let (mut row, mut column) = (first / rect.width(), first % rect.width());
+        let mut rest = pixels;
+        while !rest.is_empty() {
+            let (now, later) = rest.split_at(rest.len().min(rect.width() - column));
+            let (from, to) = (left + column, left + column + now.len());
+            let colors = color[top + row][3 * from..3 * to].as_chunks_mut::<3>().0;
+            store(colors, &mut transmittance[top + row][*channels * from..*channels * to], *channels, now);
+            (row, column, rest) = (row + 1, 0, later);
         }
     }
 

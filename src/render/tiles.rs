@@ -1,56 +1,88 @@
-//! From tiles to pixels: each tile's transparent fragments go into sums, into lists or both, and from there
-//! through the techniques.
+//! From tiles to pixels: each tile's transparent fragments go into running states, into lists or both, and from
+//! there through the techniques.
 
 use super::image::Patch;
-use super::{Job, Tally};
+use super::tally::Tally;
+use super::{Job, part_end};
 use crate::fragments::Lists;
 use crate::frame::Sample;
-use crate::raster::{Cover, Raster, Rect, Sink, Tile, TileLists};
-use crate::resolve::{Resolver, nanos_since};
-use crate::stream::TileSums;
-use crate::technique::{Batch, Resolved};
+use crate::raster::{Cover, Order, Raster, Rect, Sink, Tile, TileLists};
+use crate::resolve::{Resolver, Variant, nanos_since};
+use crate::stream::{Streamed, TileBlend, TileOver, TileSums};
+use crate::technique::{Batch, Finished, Resolved};
+use std::ops::Range;
 use std::time::Instant;
 
 /// Fragments that are shaded, sorted and resolved at a time: few enough to stay in the cache.
 const BATCH_FRAGMENTS: usize = 4096;
+/// Pixels that are finished at a time.
+const BATCH_PIXELS: usize = 256;
 
 /// One thread's working memory.
 pub(super) struct Worker<'r, 'v> {
     tile: Tile,
     lists: TileLists<'r>,
     sums: TileSums<'v>,
+    blend: TileBlend,
+    painter: TileBlend,
+    over: TileOver,
     arrived: Lists,
     sorted: Lists,
     resolver: Resolver,
     resolved: Vec<Vec<Resolved>>,
+    /// Pixels on their way into the image.
+    pixels: Vec<Finished>,
 }
 
 impl<'v> Worker<'_, 'v> {
     pub(super) fn new(job: &'v Job<'_>) -> Self {
-        let streamed = job.streamed.iter().filter_map(|&v| job.variants[v].streamed());
+        let sums = job.plan.sums.iter().filter_map(|&v| match job.variants[v].streamed() {
+            Some((Streamed::Sums(technique), _)) => Some(technique),
+            _ => None,
+        });
         Self {
             tile: Tile::default(),
             lists: TileLists::default(),
-            sums: TileSums::new(streamed),
+            sums: TileSums::new(sums),
+            blend: TileBlend::default(),
+            painter: TileBlend::default(),
+            over: TileOver::default(),
             arrived: Lists::new(),
             sorted: Lists::new(),
             resolver: Resolver::default(),
             resolved: vec![Vec::new(); job.variants.len()],
+            pixels: Vec::new(),
         }
     }
 }
 
-/// Lists, sums or both, whichever the variants want.
+/// What is wanted in submission order.
 struct Collector<'a, 'r, 'v> {
     lists: Option<&'a mut TileLists<'r>>,
     sums: Option<&'a mut TileSums<'v>>,
+    blend: Option<&'a mut TileBlend>,
 }
 
 impl<'r> Sink<'r> for Collector<'_, 'r, '_> {
+    const BLOCKS: bool = true;
+
+    #[inline(always)]
+    #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
     fn take(&mut self, cover: &Cover<'_, 'r>) -> bool {
         self.sums.as_mut().is_none_or(|sums| sums.take(cover))
+            && self.blend.as_mut().is_none_or(|blend| blend.take(cover))
             && self.lists.as_mut().is_none_or(|lists| lists.take(cover))
     }
+}
+
+/// What a part of a tile came to.
+enum Drawn {
+    /// Everything is where it belongs; whether there are lists, and whether `over` was fed.
+    Done { lists: bool, over: bool },
+    /// The lists are too long to be kept.
+    TooDeep,
+    /// The user does not want it any more.
+    Stopped,
 }
 
 impl Job<'_> {
@@ -85,77 +117,165 @@ impl Job<'_> {
         tally: &mut Tally,
     ) {
         let start = Instant::now();
-        let Worker { tile: drawn, lists, sums, .. } = worker;
-        if !drawn.begin(raster, tile, rect, self.stop) {
-            return;
-        }
-        let budget = if rect.area() > 1 { self.options.max_fragments } else { usize::MAX };
-        let (streams, lists_wanted) = (!self.streamed.is_empty(), !self.listed.is_empty());
-        if streams {
-            sums.begin(rect);
-        }
-        if lists_wanted {
-            lists.begin(rect, budget);
-        }
-        let mut collector =
-            Collector { lists: lists_wanted.then_some(&mut *lists), sums: streams.then_some(&mut *sums) };
-        let finished = drawn.transparent(raster, tile, &mut collector, self.stop);
-        if lists_wanted && lists.is_over_budget() {
-            for half in rect.halves() {
-                self.part(raster, tile, half, worker, patch, tally);
+        match self.draw(raster, tile, rect, worker, tally) {
+            Drawn::Stopped => {}
+            Drawn::TooDeep => {
+                for half in rect.halves() {
+                    self.part(raster, tile, half, worker, patch, tally);
+                }
             }
-            return;
+            Drawn::Done { lists, over } => {
+                if lists {
+                    worker.lists.distribute();
+                }
+                tally.raster_nanos += nanos_since(start);
+                self.finish_streamed(&rect, over, worker, patch, tally);
+                if lists && !self.plan.overs.is_empty() {
+                    self.finish_over(&rect, worker, patch, tally);
+                }
+                self.resolve_lists(&rect, worker, patch, tally);
+            }
         }
-        if !finished {
-            return;
-        }
-        tally.occluded_fragments += drawn.occluded();
-        let counts = if lists_wanted { lists.counts() } else { sums.counts() };
-        counts.iter().for_each(|&n| tally.count(n as usize));
-        if lists_wanted {
-            lists.distribute();
-        }
-        tally.raster_nanos += nanos_since(start);
-        self.finish_sums(&rect, worker, patch, tally);
-        self.resolve_lists(rect, worker, patch, tally);
     }
 
-    fn finish_sums<S: Sample>(
+    /// Rasterises a part of a tile, once for each order that is wanted.
+    fn draw<'r>(
+        &self,
+        raster: &'r Raster<'_>,
+        tile: (usize, usize),
+        rect: Rect,
+        worker: &mut Worker<'r, '_>,
+        tally: &mut Tally,
+    ) -> Drawn {
+        let (plan, stop) = (&self.plan, self.stop);
+        let Worker { tile: drawn, lists, sums, blend, painter, over, .. } = worker;
+        if !drawn.begin(raster, tile, rect, self.options.skip, stop) {
+            return Drawn::Stopped;
+        }
+        let over_wanted = !plan.overs.is_empty() && plan.listed.is_empty() && drawn.is_layered(raster, tile);
+        let lists_wanted = !plan.listed.is_empty() || (!plan.overs.is_empty() && !over_wanted);
+        let mut finished = true;
+        let mut occluded = None;
+        if lists_wanted || !plan.sums.is_empty() || !plan.blends.is_empty() {
+            let mut collector = Collector {
+                lists: lists_wanted.then_some(&mut *lists),
+                sums: (!plan.sums.is_empty()).then_some(&mut *sums),
+                blend: (!plan.blends.is_empty()).then_some(&mut *blend),
+            };
+            let budget = if rect.area() > 1 { self.options.max_fragments } else { usize::MAX };
+            collector.begin(rect, budget);
+            finished = match &mut collector {
+                Collector { lists: Some(lists), sums: None, blend: None } => {
+                    drawn.transparent(raster, tile, Order::Submission, *lists, stop)
+                }
+                Collector { lists: None, sums: Some(sums), blend: None } => {
+                    drawn.transparent(raster, tile, Order::Submission, *sums, stop)
+                }
+                all => drawn.transparent(raster, tile, Order::Submission, all, stop),
+            };
+            if lists_wanted && lists.is_over_budget() {
+                return Drawn::TooDeep;
+            }
+            occluded = Some(drawn.occluded());
+        }
+        if !plan.painters.is_empty() {
+            painter.begin(rect);
+            finished &= drawn.transparent(raster, tile, Order::BackToFront, painter, stop);
+        }
+        if over_wanted {
+            over.begin(rect, self.options.skip);
+            finished &= drawn.transparent(raster, tile, Order::FrontToBack, over, stop);
+        }
+        if !finished {
+            return Drawn::Stopped;
+        }
+        tally.occluded.add(occluded.unwrap_or(drawn.occluded()));
+        if lists_wanted {
+            tally.count(lists.counts().iter().copied());
+        } else {
+            let groups = match () {
+                () if over_wanted => over.counts(),
+                () if !plan.sums.is_empty() => sums.counts(),
+                () if !plan.blends.is_empty() => blend.counts(),
+                () => painter.counts(),
+            };
+            tally.count_groups(groups, rect.area());
+        }
+        Drawn::Done { lists: lists_wanted, over: over_wanted }
+    }
+
+    /// Stores what was fed while rasterising.
+    fn finish_streamed<S: Sample>(
+        &self,
+        rect: &Rect,
+        over_fed: bool,
+        worker: &mut Worker<'_, '_>,
+        patch: &mut Patch<'_, S>,
+        tally: &mut Tally,
+    ) {
+        let plan = &self.plan;
+        let Worker { tile, sums, blend, painter, over, pixels, .. } = worker;
+        let background = tile.background();
+        for (i, &v) in plan.sums.iter().enumerate() {
+            store(v, rect, patch, tally, pixels, |range, out| sums.finish(i, range, background, out));
+        }
+        plan.sums.iter().zip(sums.nanos()).for_each(|(&v, nanos)| tally.streamed(v, nanos));
+        for (variants, target) in [(&plan.blends, blend), (&plan.painters, painter)] {
+            for &v in variants {
+                store(v, rect, patch, tally, pixels, |range, out| target.finish(range, background, out));
+                tally.streamed(v, target.nanos());
+            }
+        }
+        for &v in plan.overs.iter().filter(|_| over_fed) {
+            store(v, rect, patch, tally, pixels, |range, out| over.finish(range, background, out));
+            tally.streamed(v, over.nanos());
+            tally.variants[v].hidden_fragments += over.hidden();
+        }
+    }
+
+    /// Composites sorted lists front to back.
+    fn finish_over<S: Sample>(
         &self,
         rect: &Rect,
         worker: &mut Worker<'_, '_>,
         patch: &mut Patch<'_, S>,
         tally: &mut Tally,
     ) {
-        let Worker { tile, sums, resolved, .. } = worker;
-        for (i, &v) in self.streamed.iter().enumerate() {
-            let (nanos, streaming) = sums.finish(i, tile.background(), &mut resolved[v]);
-            tally.variants[v].nanos += nanos;
-            tally.streaming_nanos += streaming;
-            patch.store(v, rect, 0, &resolved[v]);
+        if !self.plan.listed.is_empty() {
+            return; // with the others, from their sorted lists
+        }
+        let Worker { tile, lists, pixels, .. } = worker;
+        let mut hidden = 0;
+        for (n, &v) in self.plan.overs.iter().enumerate() {
+            store(v, rect, patch, tally, pixels, |range, out| {
+                if n == 0 {
+                    lists.sort(range.start, range.end);
+                }
+                hidden += lists.over(range, tile.background().colors(), self.options.skip, out);
+            });
+            tally.variants[v].hidden_fragments += std::mem::take(&mut hidden);
         }
     }
 
     /// Resolves the tile's lists in batches that fit the cache.
     fn resolve_lists<S: Sample>(
         &self,
-        rect: Rect,
+        rect: &Rect,
         worker: &mut Worker<'_, '_>,
         patch: &mut Patch<'_, S>,
         tally: &mut Tally,
     ) {
-        if self.listed.is_empty() {
+        if self.plan.listed.is_empty() {
             return;
         }
         let Worker { tile, lists, arrived, sorted, resolver, resolved, .. } = worker;
-        let of_listed = |wants: fn(&crate::resolve::Variant) -> bool| {
-            self.listed.iter().any(|&v| wants(&self.variants[v]))
-        };
+        let listed = &self.from_lists;
+        let of_listed = |wants: fn(&Variant) -> bool| listed.iter().any(|&v| wants(&self.variants[v]));
         let wants_arrival = of_listed(|variant| !variant.takes_sorted_alone());
         let wants_sorted = of_listed(|variant| variant.wants_sorted() || variant.takes_sorted_alone());
         let mut first = 0;
         while first < rect.area() {
-            let last = super::part_end(first, rect.area(), BATCH_FRAGMENTS, |i| lists.counts()[i] as usize);
+            let last = batch_end(first, lists.counts());
             if wants_arrival {
                 lists.shade(first, last, arrived);
             }
@@ -177,13 +297,52 @@ impl Job<'_> {
                 first: first as u32,
                 lists: if wants_arrival { arrived.as_ref() } else { sorted.as_ref() },
                 sorted: wants_sorted.then(|| sorted.as_ref()),
-                background: &tile.background()[first..last],
+                background: &tile.background().colors()[first..last],
             };
-            resolver.run(&self.context(&self.listed), &batch, sort_nanos, resolved, &mut tally.variants);
-            for &v in &self.listed {
-                patch.store(v, &rect, first, &resolved[v]);
+            resolver.run(&self.context(listed), &batch, sort_nanos, resolved, &mut tally.variants);
+            for &v in listed {
+                patch.store(v, rect, first, &resolved[v]);
             }
             first = last;
         }
     }
+}
+
+impl Collector<'_, '_, '_> {
+    fn begin(&mut self, rect: Rect, budget: usize) {
+        if let Some(lists) = &mut self.lists {
+            lists.begin(rect, budget);
+        }
+        if let Some(sums) = &mut self.sums {
+            sums.begin(rect);
+        }
+        if let Some(blend) = &mut self.blend {
+            blend.begin(rect);
+        }
+    }
+}
+
+/// The end of a batch of whole groups of lists from pixel `first` on.
+fn batch_end(first: usize, counts: &[u32]) -> usize {
+    let groups = counts[first..].chunks(TileLists::GROUP).map(|group| group.iter().sum::<u32>() as usize);
+    let groups: Vec<_> = groups.take(BATCH_FRAGMENTS / TileLists::GROUP).collect();
+    let end = part_end(0, groups.len(), BATCH_FRAGMENTS, |group| groups[group]);
+    (first + end * TileLists::GROUP).min(counts.len())
+}
+
+/// Makes and stores the pixels of variant `v`, a batch at a time.
+fn store<S: Sample>(
+    v: usize,
+    rect: &Rect,
+    patch: &mut Patch<'_, S>,
+    tally: &mut Tally,
+    pixels: &mut Vec<Finished>,
+    mut finish: impl FnMut(Range<usize>, &mut Vec<Finished>),
+) {
+    let start = Instant::now();
+    for first in (0..rect.area()).step_by(BATCH_PIXELS) {
+        finish(first..(first + BATCH_PIXELS).min(rect.area()), pixels);
+        patch.store_finished(v, rect, first, pixels);
+    }
+    tally.variants[v].nanos += nanos_since(start);
 }

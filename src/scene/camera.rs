@@ -70,6 +70,19 @@ impl Camera {
         let p = point - self.eye;
         DVec3::new(p.dot(self.right), p.dot(self.up), p.dot(self.forward))
     }
+    /// World points to view space, a plane of numbers per axis: the bits of [`Camera::to_view`].
+    #[inline(always)]
+    #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+    pub(crate) fn view_lanes<const N: usize>(&self, [x, y, z]: &[[f64; N]; 3]) -> [[f64; N]; 3] {
+        let mut view = [[0.0; N]; 3];
+        for lane in 0..N {
+            let p = [x[lane] - self.eye.x, y[lane] - self.eye.y, z[lane] - self.eye.z];
+            for (axis, to) in [self.right, self.up, self.forward].into_iter().zip(&mut view) {
+                to[lane] = p[0] * axis.x + p[1] * axis.y + p[2] * axis.z;
+            }
+        }
+        view
+    }
     /// The projection.
     pub fn projection(&self) -> Projection {
         self.projection

@@ -4,6 +4,7 @@ use crate::error::Result;
 use crate::fragments::List;
 use crate::order::sort_key;
 use crate::params::{Kind, ParamSpec, Params, Value, View};
+use crate::stream::Streamed;
 use crate::technique::{
     AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties, Resolved, Technique,
 };
@@ -82,6 +83,10 @@ impl Technique for ABuffer {
     fn resolve(&self, pixel: &Pixel<'_>, (): &mut ()) -> Resolved {
         let (color, transmittance) = over(pixel.sorted);
         Resolved::new(color + transmittance * pixel.background, transmittance)
+    }
+
+    fn streamed(&self) -> Option<Streamed<'_>> {
+        Some(Streamed::Over)
     }
 
     fn transmittance(&self, pixel: &Pixel<'_>, depths: &[f32], (): &mut ()) -> Option<Vec<f64>> {

@@ -2,6 +2,7 @@
 
 use crate::error::Result;
 use crate::params::{Params, View};
+use crate::stream::Streamed;
 use crate::technique::{
     AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties, Resolved, Technique,
 };
@@ -61,6 +62,10 @@ impl Technique for AlphaCompositing {
         }
         let color: DVec3 = target.as_dvec3() + transmittance * pixel.background;
         Resolved::new(color, transmittance)
+    }
+
+    fn streamed(&self) -> Option<Streamed<'_>> {
+        Some(Streamed::Blend)
     }
 
     fn cost(&self, _complexity: &DepthComplexity) -> Cost {

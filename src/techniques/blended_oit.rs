@@ -1,10 +1,11 @@
 //! Blended OIT (`McGuire` & Bavoil 2013, eq. 5): the average colour at the exact coverage.
 
-use crate::continuum::sums::{BlendSums, Blended};
+use crate::continuum::sums::{BlendSums, Blended, SumsOf};
 use crate::error::Result;
 use crate::params::{Params, View};
+use crate::stream::Streamed;
 use crate::technique::{
-    AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties, Resolved, Technique,
+    AnyTechnique, Axes, Cost, DepthComplexity, Finished, Info, Pixel, Properties, Resolved, Technique,
 };
 use crate::techniques::ANY_ORDER;
 use glam::DVec3;
@@ -43,6 +44,10 @@ impl Blended for BlendedOit {
     fn finish(&self, sums: &BlendSums, _count: usize, background: DVec3) -> Resolved {
         sums.over(background)
     }
+
+    fn finish_all(&self, pixels: &SumsOf<'_>, out: &mut Vec<Finished>) {
+        pixels.over(out);
+    }
 }
 
 impl Technique for BlendedOit {
@@ -52,8 +57,8 @@ impl Technique for BlendedOit {
         self.blend_list(pixel.list, pixel.background, weights)
     }
 
-    fn blended(&self) -> Option<&dyn Blended> {
-        Some(self)
+    fn streamed(&self) -> Option<Streamed<'_>> {
+        Some(Streamed::Sums(self))
     }
 
     fn cost(&self, _complexity: &DepthComplexity) -> Cost {

@@ -19,9 +19,9 @@ use crate::continuum::opacity::{Alpha, Opacity};
 use crate::continuum::oracle::{Composite, Oracle, TwoPass};
 use crate::continuum::range::DepthRange;
 use crate::continuum::stochastic::{Visibility, VisibleByChance, VisibleSamples};
-use crate::continuum::sums::Blended;
 use crate::error::Result;
 use crate::params::{Default, Kind, ParamSpec, Params, Value, View};
+use crate::stream::Streamed;
 use crate::technique::{
     AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties, Resolved, Technique,
 };
@@ -374,8 +374,9 @@ impl<T: Technique, const SORTED: bool> Technique for Composed<T, SORTED> {
     fn resolve(&self, pixel: &Pixel<'_>, scratch: &mut T::Scratch) -> Resolved {
         self.technique.resolve(&Self::shown(pixel), scratch)
     }
-    fn blended(&self) -> Option<&dyn Blended> {
-        self.technique.blended()
+    fn streamed(&self) -> Option<Streamed<'_>> {
+        // sums and blends would be fed in submission order
+        self.technique.streamed().filter(|streamed| !SORTED || matches!(streamed, Streamed::Over))
     }
     fn transmittance(&self, pixel: &Pixel<'_>, depths: &[f32], scratch: &mut T::Scratch) -> Option<Vec<f64>> {
         self.technique.transmittance(&Self::shown(pixel), depths, scratch)

@@ -9,7 +9,7 @@ use crate::technique::{
     AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties, Resolved, Technique,
 };
 use crate::techniques::ANY_ORDER;
-use crate::weight::{FAR, Formula, NEAR, Planes, Weighting};
+use crate::weight::{FAR, Formula, Function, NEAR, Planes, Weighting};
 use glam::DVec3;
 
 /// The registry entry.
@@ -56,7 +56,11 @@ fn build(params: &Params, _view: &View) -> Result<Box<dyn AnyTechnique>> {
         unreachable!("a value of this kind is three numbers")
     };
     Ok(Box::new(Phenomenological {
-        weighting: Weighting::new(Box::new(Formula::I3d16(Planes::from_params(params)?)), 1.0, 0.0),
+        weighting: Weighting::new(
+            Function::Published(Formula::I3d16(Planes::from_params(params)?)),
+            1.0,
+            0.0,
+        ),
         transmission: DVec3::from(transmission),
         divisor_floor: params.float("divisor_floor"),
     }))

@@ -1,11 +1,12 @@
 //! Weighted blended OIT (`McGuire` & Bavoil 2013, eq. 6): a depth-weighted average at the exact coverage.
 
 use super::blended_oit::BLENDED;
-use crate::continuum::sums::{BlendSums, Blended};
+use crate::continuum::sums::{BlendSums, Blended, SumsOf, finish_each};
 use crate::error::Result;
 use crate::params::{Kind, ParamSpec, Params, Value, View};
+use crate::stream::Streamed;
 use crate::technique::{
-    AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties, Resolved, Technique,
+    AnyTechnique, Axes, Cost, DepthComplexity, Finished, Info, Pixel, Properties, Resolved, Technique,
 };
 use crate::techniques::ANY_ORDER;
 use crate::weight::{self, Weighting};
@@ -72,6 +73,13 @@ impl Blended for Wboit {
         }
         sums.over(background)
     }
+
+    fn finish_all(&self, pixels: &SumsOf<'_>, out: &mut Vec<Finished>) {
+        if self.listing3_clamp {
+            return finish_each(self, pixels, out);
+        }
+        pixels.over(out);
+    }
 }
 
 impl Technique for Wboit {
@@ -81,8 +89,8 @@ impl Technique for Wboit {
         self.blend_list(pixel.list, pixel.background, weights)
     }
 
-    fn blended(&self) -> Option<&dyn Blended> {
-        Some(self)
+    fn streamed(&self) -> Option<Streamed<'_>> {
+        Some(Streamed::Sums(self))
     }
 
     fn cost(&self, _complexity: &DepthComplexity) -> Cost {

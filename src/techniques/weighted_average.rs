@@ -3,6 +3,7 @@
 use crate::continuum::sums::{BlendSums, Blended};
 use crate::error::Result;
 use crate::params::{Params, View};
+use crate::stream::Streamed;
 use crate::technique::{
     AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties, Resolved, Technique,
 };
@@ -55,8 +56,8 @@ impl Technique for WeightedAverage {
         self.blend_list(pixel.list, pixel.background, weights)
     }
 
-    fn blended(&self) -> Option<&dyn Blended> {
-        Some(self)
+    fn streamed(&self) -> Option<Streamed<'_>> {
+        Some(Streamed::Sums(self))
     }
 
     fn cost(&self, _complexity: &DepthComplexity) -> Cost {

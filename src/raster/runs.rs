@@ -1,0 +1,265 @@
+//! Which pixel centres a triangle covers, eight rows at a time: the same rule and the same integers as
+//! [`super::cover`], kept in f64, where they are exact too (below 2^52).
+
+use super::cover::Rect;
+use super::project::{CENTER, SUBPIXELS};
+
+/// Neighbouring pixels of a row.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Run {
+    /// Column of the first pixel in the image.
+    pub x: i32,
+    /// Row in the image.
+    pub y: i32,
+    /// Index of the first pixel in the tile.
+    pub first: u32,
+    /// How many there are, at least one.
+    pub len: u32,
+}
+
+impl Run {
+    /// The pixels' indices in the tile.
+    pub fn pixels(self) -> std::ops::Range<usize> {
+        self.first as usize..(self.first + self.len) as usize
+    }
+}
+
+/// Rows that are looked at together.
+const ROWS: usize = 8;
+type Rows = [f64; ROWS];
+
+/// Adding and taking away again rounds to the nearest integer.
+const ROUND: f64 = 6_755_399_441_055_744.0; // 1.5 * 2^52
+
+/// Beyond any column.
+const FAR: f64 = 1e9;
+
+/// One edge's line: the pixel at or right of its crossing with a row is `ceil(numerator / denominator)`.
+#[derive(Clone, Copy)]
+struct Edge {
+    /// At the first row, and from row to row.
+    numerator: f64,
+    step: f64,
+    denominator: f64,
+    inverse: f64,
+    /// What makes a left edge no limit on the right, and the other way round.
+    on_left: f64,
+    on_right: f64,
+}
+
+impl Edge {
+    /// The edge from `a` to `b` as seen from row `y` on; `sign` is that of the triangle's area. A horizontal
+    /// edge limits no row that the triangle's bounds leave.
+    #[inline(always)]
+    #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+    fn new(a: (i32, i32), b: (i32, i32), y: i32, sign: f64) -> Self {
+        let (dx, dy) = (f64::from(b.0 - a.0), f64::from(b.1 - a.1));
+        let down = if dy < 0.0 { -1.0 } else { 1.0 };
+        let (dx, dy) = (dx * down, dy * down);
+        let below = f64::from(y * SUBPIXELS + CENTER - a.1);
+        let denominator = f64::from(SUBPIXELS) * dy;
+        let flat = dy == 0.0;
+        let is_left = down * sign < 0.0;
+        Self {
+            numerator: f64::from(a.0 - CENTER) * dy + below * dx,
+            step: f64::from(SUBPIXELS) * dx,
+            denominator,
+            inverse: if flat { 0.0 } else { 1.0 / denominator },
+            on_left: if is_left && !flat { 0.0 } else { -FAR },
+            on_right: if is_left || flat { FAR } else { 0.0 },
+        }
+    }
+
+    /// The crossings with the rows `rows` below the first.
+    #[inline(always)]
+    #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+    fn crossings(&self, rows: &Rows) -> Rows {
+        let mut columns = [0.0; ROWS];
+        for row in 0..ROWS {
+            let numerator = self.numerator + rows[row] * self.step;
+            // at most one off the ceiling, and exact integers tell
+            let near = (numerator * self.inverse + 0.5 + ROUND) - ROUND;
+            let excess = near * self.denominator - numerator;
+            let up = if excess < 0.0 { 1.0 } else { 0.0 };
+            let down = if excess >= self.denominator { 1.0 } else { 0.0 };
+            columns[row] = near + up - down;
+        }
+        columns
+    }
+}
+
+/// A whole number as an integer between -1 and `limit`: its last bits, once it is large enough to have no
+/// others.
+#[inline(always)]
+#[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+#[expect(clippy::cast_possible_truncation, reason = "the last bits are wanted")]
+fn column(x: f64, limit: f64) -> i32 {
+    let x = if x < limit { x } else { limit };
+    let x = if x > -1.0 { x } else { -1.0 };
+    (x + ROUND).to_bits() as i32
+}
+
+/// The runs of the pixels of `bounds` that a triangle of nonzero area covers, row by row from the top; their
+/// indices are those in `rect`, which holds `bounds`. Gives the number of pixels.
+///
+/// A triangle is what lies between its edges' lines in the rows of its bounds, so that the ends of an edge need
+/// not be looked at.
+#[inline(always)]
+#[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+pub fn triangle_runs(
+    points: [(i32, i32); 3],
+    sign: f64,
+    rect: &Rect,
+    bounds: &Rect,
+    runs: &mut Vec<Run>,
+) -> usize {
+    let [a, b, c] = points;
+    let edges = [
+        Edge::new(a, b, bounds.y0, sign),
+        Edge::new(b, c, bounds.y0, sign),
+        Edge::new(c, a, bounds.y0, sign),
+    ];
+    let (x0, x1) = (f64::from(bounds.x0), f64::from(bounds.x1));
+    let width = rect.x1 - rect.x0;
+    let mut start = (bounds.y0 - rect.y0) * width - rect.x0;
+    let mut rows = [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0];
+    let mut pixels = 0;
+    let mut y = bounds.y0;
+    while y < bounds.y1 {
+        let (mut lefts, mut rights) = ([x0; ROWS], [x1; ROWS]);
+        for edge in &edges {
+            let columns = edge.crossings(&rows);
+            for row in 0..ROWS {
+                let (left, right) = (columns[row] + edge.on_left, columns[row] + edge.on_right);
+                lefts[row] = if left > lefts[row] { left } else { lefts[row] };
+                rights[row] = if right < rights[row] { right } else { rights[row] };
+            }
+        }
+        let (mut from, mut to) = ([0; ROWS], [0; ROWS]);
+        for row in 0..ROWS {
+            from[row] = column(lefts[row], x1);
+            to[row] = column(rights[row], x1);
+        }
+        #[expect(clippy::cast_sign_loss, reason = "pixels of the tile")]
+        for ((left, right), y) in from.into_iter().zip(to).zip(y..bounds.y1) {
+            if left < right {
+                let len = (right - left) as u32;
+                runs.push(Run { x: left, y, first: (start + left) as u32, len });
+                pixels += len as usize;
+            }
+            start += width;
+        }
+        for row in &mut rows {
+            *row += 8.0;
+        }
+        y += 8;
+    }
+    pixels
+}
+
+/// Triangles of no more columns and rows of pixels are looked at pixel by pixel.
+const TINY: i32 = 8;
+/// No corner is farther away from a pixel of such a triangle's bounds, in sub-pixels, so that edge functions fit
+/// 32 bits.
+const TINY_REACH: i32 = 16 * SUBPIXELS;
+
+/// Whether [`tiny_runs`] can be used.
+pub fn is_tiny(points: &[(i32, i32); 3], bounds: &Rect) -> bool {
+    let near = |&(x, y): &(i32, i32)| {
+        (x - bounds.x0 * SUBPIXELS).abs() < TINY_REACH && (y - bounds.y0 * SUBPIXELS).abs() < TINY_REACH
+    };
+    bounds.x1 - bounds.x0 <= TINY && bounds.y1 - bounds.y0 <= TINY && points.iter().all(near)
+}
+
+/// [`triangle_runs`] of a tiny triangle, by the edge functions of all 8 x 8 pixels from the bounds' corner on.
+#[inline(always)]
+#[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+pub fn tiny_runs(
+    points: [(i32, i32); 3],
+    sign: i32,
+    rect: &Rect,
+    bounds: &Rect,
+    runs: &mut Vec<Run>,
+) -> usize {
+    let (px, py) = (bounds.x0 * SUBPIXELS + CENTER, bounds.y0 * SUBPIXELS + CENTER);
+    let [a, b, c] = points;
+    let mut edges = [[0; 3]; 3];
+    for (edge, (from, to)) in edges.iter_mut().zip([(a, b), (b, c), (c, a)]) {
+        let (dx, dy) = ((to.0 - from.0) * sign, (to.1 - from.1) * sign);
+        // a centre on an edge is inside if the edge is a top or left one as the triangle is walked clockwise
+        let least = i32::from(!(dy < 0 || (dy == 0 && dx > 0)));
+        let at_corner = dx * (py - from.1) - dy * (px - from.0) - least;
+        *edge = [at_corner, -dy * SUBPIXELS, dx * SUBPIXELS];
+    }
+    let mut rows = [[0_u8; 8]; 8];
+    for (y, row) in (0..8).zip(&mut rows) {
+        for (x, inside) in (0..8).zip(row) {
+            let mut outside = 0;
+            for [at_corner, along, down] in edges {
+                outside |= at_corner + along * x + down * y;
+            }
+            *inside = u8::from(outside >= 0);
+        }
+    }
+    let (columns, width) = (bounds.x1 - bounds.x0, rect.x1 - rect.x0);
+    let in_bounds = (1_u32 << columns) - 1;
+    let mut pixels = 0;
+    for (y, row) in (bounds.y0..bounds.y1).zip(rows) {
+        // a byte's bit per pixel
+        let mask = (u64::from_le_bytes(row).wrapping_mul(0x0102_0408_1020_4080) >> 56) as u32 & in_bounds;
+        if mask != 0 {
+            let (x, len) = (bounds.x0 + mask.trailing_zeros().cast_signed(), mask.count_ones());
+            let first = ((y - rect.y0) * width + x - rect.x0).cast_unsigned();
+            runs.push(Run { x, y, first, len });
+            pixels += len as usize;
+        }
+    }
+    pixels
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::random::hash32;
+    use crate::raster::cover::{doubled_area, spans};
+    use crate::raster::setup::pixel_bounds;
+
+    fn pixels(runs: &[Run]) -> Vec<u32> {
+        runs.iter().flat_map(|run| run.first..run.first + run.len).collect()
+    }
+
+    #[test]
+    fn agree_with_the_integer_spans() {
+        let mut tinies = 0;
+        for n in 0..20_000_u32 {
+            let rect = Rect { x0: 3, y0: 2, x1: 3 + 12 + (n % 60).cast_signed(), y1: 40 };
+            let scale = [64, 700, 1500, 4096, 12_000, 16_000_000][n as usize % 6];
+            // coordinates on the centre grid now and then, so that ties happen
+            let at = |k: u32| {
+                let c = (hash32(n, k, 0, 0, 0) % (2 * scale)).cast_signed() - scale.cast_signed() / 3;
+                if hash32(n, k, 1, 0, 0).is_multiple_of(2) { c.div_euclid(128) * 128 } else { c }
+            };
+            let t = [(at(0), at(1)), (at(2), at(3)), (at(4), at(5))];
+            let area = doubled_area(&t);
+            if area == 0 {
+                continue;
+            }
+            let mut expected = Vec::new();
+            let index = |x: i32, y: i32| ((y - rect.y0) * (rect.x1 - rect.x0) + x - rect.x0).cast_unsigned();
+            spans(&t, &rect, |y, x0, x1| expected.extend((x0..x1).map(|x| index(x, y))));
+            let mut runs = Vec::new();
+            let sign = if area < 0 { -1 } else { 1 };
+            let bounds = pixel_bounds(&t, &rect);
+            let count = triangle_runs(t, f64::from(sign), &rect, &bounds, &mut runs);
+            assert_eq!(pixels(&runs), expected, "{t:?}");
+            assert_eq!(count, expected.len());
+            if !expected.is_empty() && is_tiny(&t, &bounds) {
+                let mut tiny = Vec::new();
+                assert_eq!(tiny_runs(t, sign, &rect, &bounds, &mut tiny), expected.len());
+                assert_eq!(tiny, runs);
+                tinies += 1;
+            }
+        }
+        assert!(tinies > 1000);
+    }
+}

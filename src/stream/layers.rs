@@ -1,0 +1,289 @@
+//! Compositing one layer after the other while rasterising: `over` front to back, and the blend unit's.
+//!
+//! The arithmetic per pixel is that of the techniques on lists, operation by operation, so that a scene and its
+//! capture agree to the bit.
+
+use super::{Stopwatch, flat_color, shade};
+use crate::lanes::{Block, Group, LANES, at, at_mut, attenuate_block, count_block, reset};
+use crate::raster::{Cover, Opaque, Premultiplied, Rect, Run, Sink};
+use crate::technique::Finished;
+use multiversion::multiversion;
+
+/// `over` of a tile whose primitives come front to back.
+#[derive(Default)]
+pub struct TileOver {
+    /// Red, green, blue, and the transmittance in front of what is to come.
+    planes: [Vec<Group<f64>>; 4],
+    counts: Vec<Group<u32>>,
+    colors: Vec<Premultiplied>,
+    skip: bool,
+    /// Whether nothing behind can be seen in any pixel.
+    covered: bool,
+    /// Fragments that came after that.
+    hidden: u64,
+    stopwatch: Stopwatch,
+}
+
+impl TileOver {
+    /// Clears the pixels of `rect`; `skip` says whether to leave out what nobody can see.
+    pub fn begin(&mut self, rect: Rect, skip: bool) {
+        self.skip = skip;
+        (self.covered, self.hidden) = (false, 0);
+        let [r, g, b, transmittance] = &mut self.planes;
+        [r, g, b].into_iter().for_each(|plane| reset(plane, rect.area(), 0.0));
+        reset(transmittance, rect.area(), 1.0);
+        reset(&mut self.counts, rect.area(), 0);
+    }
+
+    /// Fragments per pixel; the last group may have pixels too many, without fragments.
+    pub fn counts(&self) -> &[Group<u32>] {
+        &self.counts
+    }
+
+    /// How long it took while rasterising, since the last look.
+    pub fn nanos(&mut self) -> u64 {
+        self.stopwatch.take()
+    }
+
+    /// Pixels `first..last` over their backgrounds.
+    pub fn finish(&self, pixels: std::ops::Range<usize>, background: &Opaque, out: &mut Vec<Finished>) {
+        out.resize(pixels.len(), [0.0; 4]);
+        over_background(&self.planes, pixels.start, &background.colors()[pixels], out);
+    }
+}
+
+impl<'r> Sink<'r> for TileOver {
+    const BLOCKS: bool = true;
+
+    #[inline(always)]
+    #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+    fn take(&mut self, cover: &Cover<'_, 'r>) -> bool {
+        let start = self.stopwatch.start();
+        self.put_behind(cover);
+        self.stopwatch.stop(start);
+        true
+    }
+}
+
+impl TileOver {
+    /// Fragments that nobody can see and that were left out.
+    pub fn hidden(&self) -> u64 {
+        self.hidden
+    }
+
+    #[inline(always)]
+    #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+    fn put_behind(&mut self, cover: &Cover<'_, '_>) {
+        if self.covered {
+            count(cover.runs, &mut self.counts);
+            self.hidden += cover.pixels as u64;
+            return;
+        }
+        if let (Some(color), false) = (flat_color(cover), cover.is_small()) {
+            over_flat(cover.blocks, color, &mut self.planes, &mut self.counts);
+            self.covered = self.skip && color[3] == 1.0 && self.nothing_shows();
+            return;
+        }
+        count(cover.runs, &mut self.counts);
+        shade(cover, &mut self.colors);
+        let [planes @ .., transmittance] = &mut self.planes;
+        for (i, color) in cover.runs.iter().flat_map(|run| run.pixels()).zip(&self.colors) {
+            let t = at_mut(transmittance, i);
+            for (plane, &channel) in planes.iter_mut().zip(color) {
+                *at_mut(plane, i) += *t * f64::from(channel);
+            }
+            *t *= 1.0 - f64::from(color[3]);
+        }
+    }
+
+    /// Whether every pixel is covered. Those beyond the last one are not, if there are any.
+    fn nothing_shows(&self) -> bool {
+        self.planes[3].iter().all(|group| group.0.iter().all(|t| *t == 0.0))
+    }
+}
+
+#[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
+fn over_background(
+    [r, g, b, t]: &[Vec<Group<f64>>; 4],
+    first: usize,
+    background: &[[f32; 3]],
+    out: &mut [Finished],
+) {
+    for (i, (background, out)) in (first..).zip(background.iter().zip(out)) {
+        let (layers, t) = ([at(r, i), at(g, i), at(b, i), 0.0], at(t, i));
+        *out = put_behind(layers, t, *background);
+    }
+}
+
+/// A layer over the background; the fourth channel comes out as the background's share.
+#[inline(always)]
+#[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+fn put_behind(layers: [f64; 4], transmittance: f64, [r, g, b]: [f32; 3]) -> Finished {
+    let background = [r, g, b, 1.0];
+    let mut pixel = [0.0; 4];
+    for channel in 0..4 {
+        pixel[channel] = layers[channel] + transmittance * f64::from(background[channel]);
+    }
+    pixel
+}
+
+fn count(runs: &[Run], counts: &mut [Group<u32>]) {
+    for pixel in runs.iter().flat_map(|run| run.pixels()) {
+        *at_mut(counts, pixel) += 1;
+    }
+}
+
+#[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
+fn over_flat(
+    blocks: &[Block],
+    color: Premultiplied,
+    planes: &mut [Vec<Group<f64>>; 4],
+    counts: &mut [Group<u32>],
+) {
+    let color = [f64::from(color[0]), f64::from(color[1]), f64::from(color[2]), f64::from(color[3])];
+    let left = 1.0 - color[3];
+    let [r, g, b, transmittance] = planes;
+    for &block in blocks {
+        let (group, ones) = (block.index(), block.ones());
+        let t = transmittance[group].0;
+        let (mut share, mut behind) = ([0.0; LANES], [0.0; LANES]);
+        for lane in 0..LANES {
+            let inside = f64::from(ones[lane]);
+            share[lane] = t[lane] * inside;
+            behind[lane] = t[lane] - share[lane] + share[lane] * left;
+        }
+        transmittance[group].0 = behind;
+        add(&mut r[group].0, &share, color[0]);
+        add(&mut g[group].0, &share, color[1]);
+        add(&mut b[group].0, &share, color[2]);
+        count_block(&mut counts[group].0, &ones);
+    }
+}
+
+#[inline(always)]
+#[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+fn add(plane: &mut [f64; LANES], share: &[f64; LANES], channel: f64) {
+    let mut sum = *plane;
+    for lane in 0..LANES {
+        sum[lane] += share[lane] * channel;
+    }
+    *plane = sum;
+}
+
+/// Alpha compositing of a tile, in the order in which its primitives come.
+#[derive(Default)]
+pub struct TileBlend {
+    /// Red, green and blue; the fourth is for the alignment.
+    target: Vec<Group<[f32; 4]>>,
+    transmittance: Vec<Group<f64>>,
+    counts: Vec<Group<u32>>,
+    colors: Vec<Premultiplied>,
+    stopwatch: Stopwatch,
+}
+
+impl TileBlend {
+    /// Clears the pixels of `rect`.
+    pub fn begin(&mut self, rect: Rect) {
+        reset(&mut self.target, rect.area(), [0.0; 4]);
+        reset(&mut self.transmittance, rect.area(), 1.0);
+        reset(&mut self.counts, rect.area(), 0);
+    }
+
+    /// Fragments per pixel; the last group may have pixels too many, without fragments.
+    pub fn counts(&self) -> &[Group<u32>] {
+        &self.counts
+    }
+
+    /// How long it took while rasterising, since the last look.
+    pub fn nanos(&mut self) -> u64 {
+        self.stopwatch.take()
+    }
+
+    /// Pixels `first..last` over their backgrounds.
+    pub fn finish(&self, pixels: std::ops::Range<usize>, background: &Opaque, out: &mut Vec<Finished>) {
+        out.resize(pixels.len(), [0.0; 4]);
+        blend_background(&self.target, &self.transmittance, pixels.start, &background.colors()[pixels], out);
+    }
+}
+
+impl<'r> Sink<'r> for TileBlend {
+    const BLOCKS: bool = true;
+
+    #[inline(always)]
+    #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+    fn take(&mut self, cover: &Cover<'_, 'r>) -> bool {
+        let start = self.stopwatch.start();
+        self.blend_in(cover);
+        self.stopwatch.stop(start);
+        true
+    }
+}
+
+impl TileBlend {
+    #[inline(always)]
+    #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+    fn blend_in(&mut self, cover: &Cover<'_, '_>) {
+        if let (Some(color), false) = (flat_color(cover), cover.is_small()) {
+            let Self { target, transmittance, counts, .. } = self;
+            return blend_flat(cover.blocks, color, target, transmittance, counts);
+        }
+        count(cover.runs, &mut self.counts);
+        shade(cover, &mut self.colors);
+        for (i, &[r, g, b, alpha]) in cover.runs.iter().flat_map(|run| run.pixels()).zip(&self.colors) {
+            let target = at_mut(&mut self.target, i);
+            *target = blended(*target, [r, g, b, 0.0], 1.0 - alpha);
+            *at_mut(&mut self.transmittance, i) *= 1.0 - f64::from(alpha);
+        }
+    }
+}
+
+/// What overflows counts as the largest number, so that it can still be hidden.
+#[inline(always)]
+#[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+fn blended(target: [f32; 4], color: [f32; 4], left: f32) -> [f32; 4] {
+    let mut blended = [0.0; 4];
+    for channel in 0..4 {
+        let sum = color[channel] + left * target[channel];
+        blended[channel] = if sum < f32::MAX { sum } else { f32::MAX };
+    }
+    blended
+}
+
+#[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
+fn blend_flat(
+    blocks: &[Block],
+    color: Premultiplied,
+    target: &mut [Group<[f32; 4]>],
+    transmittance: &mut [Group<f64>],
+    counts: &mut [Group<u32>],
+) {
+    let [r, g, b, alpha] = color;
+    for &block in blocks {
+        let (group, ones) = (block.index(), block.ones());
+        attenuate_block(&mut transmittance[group].0, &ones, f64::from(alpha));
+        count_block(&mut counts[group].0, &ones);
+        let mut pixels = target[group].0;
+        for lane in 0..LANES {
+            #[expect(clippy::cast_precision_loss, reason = "0 or 1")]
+            let inside = ones[lane] as f32;
+            let left = 1.0 - alpha * inside;
+            pixels[lane] = blended(pixels[lane], [r * inside, g * inside, b * inside, 0.0], left);
+        }
+        target[group].0 = pixels;
+    }
+}
+
+#[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
+fn blend_background(
+    target: &[Group<[f32; 4]>],
+    transmittance: &[Group<f64>],
+    first: usize,
+    background: &[[f32; 3]],
+    out: &mut [Finished],
+) {
+    for (i, (background, out)) in (first..).zip(background.iter().zip(out)) {
+        let [r, g, b, _] = at(target, i);
+        let layers = [f64::from(r), f64::from(g), f64::from(b), 0.0];
+        *out = put_behind(layers, at(transmittance, i), *background);
+    }
+}

@@ -1,0 +1,72 @@
+//! Techniques that are fed while the tile is rasterised: a state per pixel, no fragment is kept.
+
+mod layers;
+mod sums;
+
+pub use layers::{TileBlend, TileOver};
+pub use sums::TileSums;
+
+use crate::continuum::sums::Blended;
+use crate::raster::{Cover, Paint, Premultiplied};
+use crate::resolve::nanos_since;
+use std::time::Instant;
+
+/// What a technique is if it can be fed fragment by fragment.
+#[derive(Clone, Copy)]
+pub enum Streamed<'a> {
+    /// Sums over all fragments.
+    Sums(&'a dyn Blended),
+    /// Front-to-back compositing of sorted fragments in double precision (sheet 0.1): to be fed front to back.
+    Over,
+    /// `dst ← C + (1 − a) dst` in single precision, in submission order.
+    Blend,
+}
+
+/// Times one call in so many, and scales: reading the clock costs as much as a small triangle.
+#[derive(Debug, Default)]
+pub struct Stopwatch {
+    calls: usize,
+    nanos: u64,
+}
+
+impl Stopwatch {
+    const TIMED: usize = 64;
+
+    /// To be handed to [`Stopwatch::stop`] when the work is done.
+    fn start(&mut self) -> Option<Instant> {
+        let is_timed = self.calls.is_multiple_of(Self::TIMED);
+        self.calls += 1;
+        is_timed.then(Instant::now)
+    }
+
+    fn stop(&mut self, start: Option<Instant>) {
+        if let Some(start) = start {
+            self.nanos += nanos_since(start) * Self::TIMED as u64;
+        }
+    }
+
+    /// The time since the last look.
+    fn take(&mut self) -> u64 {
+        std::mem::take(&mut self.nanos)
+    }
+}
+
+/// The colour of a primitive that has but one.
+fn flat_color(cover: &Cover<'_, '_>) -> Option<Premultiplied> {
+    match cover.paint {
+        Paint::Flat(color) => Some(*color),
+        Paint::Varying(_) => None,
+    }
+}
+
+/// The colours of all pixels of a primitive, run after run.
+fn shade(cover: &Cover<'_, '_>, colors: &mut Vec<Premultiplied>) {
+    colors.clear();
+    if let Some(color) = flat_color(cover) {
+        return colors.resize(cover.pixels, color);
+    }
+    for run in cover.runs {
+        let pixels = (0..run.len.cast_signed()).map(|i| (run.x + i, run.y));
+        colors.extend(pixels.map(|(x, y)| cover.paint.at(&cover.surface.at(x, y))));
+    }
+}
