@@ -5,6 +5,7 @@ pub mod binned;
 pub mod bins;
 pub mod coverage;
 pub mod door;
+pub mod functions;
 pub mod insertion;
 pub mod layers;
 pub mod masks;
