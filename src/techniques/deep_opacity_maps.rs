@@ -88,7 +88,6 @@ fn power_of_two(k: usize) -> f64 {
 }
 
 /// The largest k such that 2^k is at most `x`, which is at least 1.
-#[expect(clippy::cast_possible_truncation, reason = "at most 1024")]
 fn exponent(x: f64) -> usize {
     (x.to_bits() >> 52) as usize - 1023
 }

@@ -137,8 +137,8 @@ fn series_values(mean: f64, cosines: &[f64], phases: &[Lanes], values: &mut [Lan
         let mut rotor = Rotor::new(phases);
         let mut terms = [0.0; LANES];
         for c in cosines {
-            for lane in 0..LANES {
-                terms[lane] += c * rotor.cos[lane];
+            for (term, cos) in terms.iter_mut().zip(&rotor.cos) {
+                *term += c * cos;
             }
             rotor.turn();
         }

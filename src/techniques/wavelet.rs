@@ -10,7 +10,7 @@ use crate::technique::{AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, P
 use crate::techniques::ANY_ORDER;
 use std::f64::consts::SQRT_2;
 
-/// The most levels that a basis has.
+/// The most levels that a basis has: the largest rank and 1.
 const MAX_LEVELS: usize = 11;
 
 /// The registry entry.
@@ -31,7 +31,7 @@ pub static INFO: Info = Info {
     params: &[
         ParamSpec::new(
             "rank",
-            Kind::Int { min: 0, max: MAX_LEVELS as i64 - 1 },
+            Kind::Int { min: 0, max: 10 },
             Value::Int(3),
             "levels of the basis below the coarsest; 2^(rank + 1) coefficients",
         ),
