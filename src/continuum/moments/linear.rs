@@ -130,6 +130,16 @@ impl<S: Scalar> Ldl<S> {
         Some(Self { size, lower, inverse_pivots })
     }
 
+    /// An entry of L below its diagonal.
+    pub fn lower(&self, row: usize, column: usize) -> S {
+        self.lower[row][column]
+    }
+
+    /// The inverse of an entry of D.
+    pub fn inverse_pivot(&self, row: usize) -> f64 {
+        self.inverse_pivots[row]
+    }
+
     /// Solves the system for the right-hand side `v`.
     pub fn solve(&self, v: [S; MAX_SIZE]) -> [S; MAX_SIZE] {
         match self.size {

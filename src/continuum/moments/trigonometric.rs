@@ -3,7 +3,7 @@
 
 use super::linear::{Complex, Ldl, MAX_SIZE, Scalar};
 use super::polynomial::{MAX_DEGREE, interpolate};
-use super::roots::{Columns, real_roots_of_monic};
+use super::roots::{Column, Columns, real_roots_of_monic};
 use super::{Basis, MAX_STORED, Regularization};
 use crate::continuum::functions::sin_cos_of_turns;
 use crate::continuum::oracle::CHUNK;
@@ -180,17 +180,16 @@ fn shares_of<const M: usize, const N: usize>(
     shares: &mut [f64],
 ) {
     let count = d.len().min(shares.len()).min(CHUNK);
-    let (mut p, mut roots) = ([[0.0; CHUNK]; MAX_DEGREE], [[0.0; CHUNK]; MAX_DEGREE]);
-    for i in 0..count {
-        let polynomial = kernel_polynomial::<M, N>(harmonics, ldl, unit(harmonics.turns(d[i])));
-        for k in 0..M {
-            p[k][i] = polynomial[k] / polynomial[M];
-        }
+    let mut zeta = ComplexColumn::default();
+    for (i, &d) in d[..count].iter().enumerate() {
+        zeta.set(i, unit(harmonics.turns(d)));
     }
+    let p = kernel_polynomials::<M, N>(harmonics, ldl, &zeta, count);
+    let mut roots = [[0.0; CHUNK]; MAX_DEGREE];
     real_roots_of_monic::<M>(&p, count, &mut roots);
     let counts = counts::<M>(harmonics, d, count, &roots);
     for i in 0..count {
-        let zeta = unit(harmonics.turns(d[i]));
+        let zeta = zeta.get(i);
         let mut nodes = [zeta; N];
         let mut values = [overestimation; N];
         for k in 0..M {
@@ -199,30 +198,112 @@ fn shares_of<const M: usize, const N: usize>(
         }
         let p = interpolate(&nodes, &values);
         let mut share = 0.0;
-        for (p, moment) in p.iter().zip(&toeplitz.moments).take(N) {
+        for (p, moment) in p[..N].iter().zip(&toeplitz.moments[..N]) {
             share += (*p * *moment).re;
         }
         shares[i] = share;
     }
 }
 
-/// The real polynomial in t.
+/// A complex number for each fragment of a chunk.
+#[derive(Clone, Copy)]
+struct ComplexColumn {
+    re: Column,
+    im: Column,
+}
+
+impl Default for ComplexColumn {
+    fn default() -> Self {
+        Self { re: [0.0; CHUNK], im: [0.0; CHUNK] }
+    }
+}
+
+impl ComplexColumn {
+    #[inline(always)]
+    fn get(&self, i: usize) -> Complex {
+        Complex { re: self.re[i], im: self.im[i] }
+    }
+
+    #[inline(always)]
+    fn set(&mut self, i: usize, value: Complex) {
+        (self.re[i], self.im[i]) = (value.re, value.im);
+    }
+}
+
+/// 1, ζ, ζ², ...
 #[inline(always)]
-fn kernel_polynomial<const M: usize, const N: usize>(
-    harmonics: &Harmonics,
-    ldl: &Ldl<Complex>,
-    zeta: Complex,
-) -> [f64; MAX_SIZE] {
-    let kernel = ldl.solve_of::<N>(powers(zeta));
-    let opposite = powers(zeta.scale(-1.0));
-    let mut polynomial = [0.0; MAX_SIZE];
-    for j in 0..=M {
-        let g = kernel[j].conj() * opposite[j];
-        for (p, c) in polynomial.iter_mut().zip(harmonics.cayley[j]).take(N) {
-            *p += (g * c).re;
+fn column_powers<const N: usize>(zeta: &ComplexColumn, count: usize) -> [ComplexColumn; N] {
+    let mut powers = [ComplexColumn { re: [1.0; CHUNK], im: [0.0; CHUNK] }; N];
+    for k in 1..N {
+        for i in 0..count {
+            let power = powers[k - 1].get(i) * zeta.get(i);
+            powers[k].set(i, power);
         }
     }
-    polynomial
+    powers
+}
+
+/// [`Ldl::solve`] for a right-hand side per fragment.
+#[inline(always)]
+fn solve_columns<const N: usize>(ldl: &Ldl<Complex>, v: &mut [ComplexColumn; N], count: usize) {
+    for row in 0..N {
+        for k in 0..row {
+            subtract_product(v, row, k, ldl.lower(row, k), count);
+        }
+    }
+    for row in (0..N).rev() {
+        for i in 0..count {
+            let scaled = v[row].get(i).scale(ldl.inverse_pivot(row));
+            v[row].set(i, scaled);
+        }
+        for k in row + 1..N {
+            subtract_product(v, row, k, ldl.lower(k, row).conj(), count);
+        }
+    }
+}
+
+#[inline(always)]
+fn subtract_product<const N: usize>(
+    v: &mut [ComplexColumn; N],
+    row: usize,
+    k: usize,
+    factor: Complex,
+    count: usize,
+) {
+    for i in 0..count {
+        let difference = v[row].get(i) - factor * v[k].get(i);
+        v[row].set(i, difference);
+    }
+}
+
+/// The real polynomials in t, divided by their leading coefficients.
+#[inline(always)]
+fn kernel_polynomials<const M: usize, const N: usize>(
+    harmonics: &Harmonics,
+    ldl: &Ldl<Complex>,
+    zeta: &ComplexColumn,
+    count: usize,
+) -> Columns {
+    let powers = column_powers::<N>(zeta, count);
+    let mut kernel = powers;
+    solve_columns(ldl, &mut kernel, count);
+    let (mut p, mut leading) = ([[0.0; CHUNK]; MAX_DEGREE], [0.0; CHUNK]);
+    for j in 0..N {
+        let sign = if j.is_multiple_of(2) { 1.0 } else { -1.0 };
+        for (k, c) in harmonics.cayley[j].iter().enumerate().take(N) {
+            let sums = if k < M { &mut p[k] } else { &mut leading };
+            let c = c.scale(sign);
+            for (i, sum) in sums[..count].iter_mut().enumerate() {
+                *sum += (kernel[j].get(i).conj() * powers[j].get(i) * c).re;
+            }
+        }
+    }
+    for column in &mut p[..M] {
+        for (p, leading) in column[..count].iter_mut().zip(&leading) {
+            *p /= leading;
+        }
+    }
+    p
 }
 
 /// −ζ (1 + it)/(1 − it).
