@@ -1,7 +1,7 @@
 //! Adaptive volumetric shadow maps (Salvi et al. 2010): a polyline of k nodes, compressed as fragments arrive.
 
 use crate::continuum::oracle::{Composite, Oracle, TwoPass};
-use crate::continuum::polyline::{Label, Vertex, evaluate, triangle};
+use crate::continuum::polyline::{Label, Vertex, count_in_front, evaluate, evaluate_behind, triangle};
 use crate::error::Result;
 use crate::fragments::Fragment;
 use crate::params::{Kind, ParamSpec, Params, Value, View};
@@ -63,27 +63,36 @@ impl Avsm {
     /// all that it absorbs.
     fn insert(&self, nodes: &mut Vec<Vertex>, fragment: &Fragment) {
         let end = self.end(fragment);
-        let (front, back) = (Label::front(fragment), Label::back(fragment, end));
+        let labels = [Label::front(fragment), Label::back(fragment, end)];
+        let [first, last] = labels.map(|label| count_in_front(nodes, label));
         let through = 1.0 - f64::from(fragment.alpha);
-        let [front, back] = [(front, 1.0), (back, through)]
-            .map(|(label, t)| Vertex { label, transmittance: t * evaluate(nodes, label) });
-        let [first, last] = [front, back].map(|v| nodes.partition_point(|node| node.label <= v.label));
+        let front = Vertex { label: labels[0], transmittance: evaluate_behind(nodes, first, labels[0]) };
+        let back =
+            Vertex { label: labels[1], transmittance: through * evaluate_behind(nodes, last, labels[1]) };
         let length = f64::from(end) - f64::from(fragment.depth);
         for node in nodes[first..last].iter_mut().filter(|_| length > 0.0) {
             let inside = (node.label.depth() - f64::from(fragment.depth)) / length;
             node.transmittance *= 1.0 - inside * f64::from(fragment.alpha);
         }
         nodes[last..].iter_mut().for_each(|node| node.transmittance *= through);
-        nodes.insert(last, back);
-        nodes.insert(first, front);
+        nodes.extend([back; 2]);
+        let end = nodes.len();
+        nodes.copy_within(last..end - 2, last + 2);
+        nodes.copy_within(first..last, first + 1);
+        (nodes[first], nodes[last + 1]) = (front, back);
     }
 }
 
 /// Removes the inner node that matters least, the nearest of several.
 fn remove_least(nodes: &mut Vec<Vertex>) {
-    let area = |i: &usize| triangle(&nodes[i - 1], &nodes[*i], &nodes[i + 1]);
-    let least = (1..nodes.len() - 1).min_by(|i, j| area(i).total_cmp(&area(j)));
-    if let Some(i) = least {
+    let mut least = (f64::INFINITY, None);
+    for i in 1..nodes.len().saturating_sub(1) {
+        let area = triangle(&nodes[i - 1], &nodes[i], &nodes[i + 1]);
+        if area < least.0 || least.1.is_none() {
+            least = (area, Some(i));
+        }
+    }
+    if let Some(i) = least.1 {
         nodes.remove(i);
     }
 }
