@@ -17,6 +17,7 @@ pub mod oracle;
 pub mod polyline;
 pub mod range;
 pub mod samples;
+pub mod search;
 pub mod series;
 pub mod steps;
 pub mod stochastic;

@@ -1,6 +1,7 @@
 //! Piecewise linear transmittance: vertices that say which face of which fragment they are, so that coincident
 //! fragments occlude each other as the reference has it (sheet 0.1).
 
+use super::search::count_leading;
 use crate::fragments::Fragment;
 use crate::order::sort_key;
 
@@ -49,14 +50,7 @@ pub fn evaluate(vertices: &[Vertex], label: Label) -> f64 {
 
 /// How many vertices are not behind `label`.
 pub fn count_in_front(vertices: &[Vertex], label: Label) -> usize {
-    /// Counting all of a few takes less time than a search, whose every step waits for the one before.
-    const FEW: usize = 16;
-    let is_in_front = |v: &Vertex| v.label <= label;
-    if vertices.len() <= FEW {
-        vertices.iter().map(|v| usize::from(is_in_front(v))).sum()
-    } else {
-        vertices.partition_point(is_in_front)
-    }
+    count_leading(vertices, |v| v.label <= label)
 }
 
 /// [`evaluate`], given how many vertices are not behind the label.

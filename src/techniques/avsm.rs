@@ -7,6 +7,7 @@ use crate::fragments::Fragment;
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties};
 use crate::techniques::ANY_ORDER;
+use std::hint::select_unpredictable;
 
 /// The registry entry.
 pub static INFO: Info = Info {
@@ -83,30 +84,45 @@ impl Avsm {
     }
 }
 
-/// Removes the inner node that matters least, the nearest of several.
-fn remove_least(nodes: &mut Vec<Vertex>) {
-    let mut least = (f64::INFINITY, None);
-    for i in 1..nodes.len().saturating_sub(1) {
-        let area = triangle(&nodes[i - 1], &nodes[i], &nodes[i + 1]);
-        if area < least.0 || least.1.is_none() {
-            least = (area, Some(i));
+/// Removes the inner nodes that matter least, the nearest of several, until `layers` are left.
+fn reduce(nodes: &mut Vec<Vertex>, layers: usize, areas: &mut Vec<f64>) {
+    if nodes.len() <= layers {
+        return;
+    }
+    // place i is that of node i + 1
+    areas.clear();
+    areas.extend((1..nodes.len() - 1).map(|i| area(nodes, i)));
+    while nodes.len() > layers {
+        let mut least = (f64::INFINITY, 0);
+        for (i, &area) in areas.iter().enumerate() {
+            least = select_unpredictable(area < least.0, (area, i), least);
+        }
+        let i = least.1 + 1;
+        nodes.remove(i);
+        areas.remove(i - 1);
+        // what was removed was a neighbour of these two
+        for neighbor in [i - 1, i] {
+            if neighbor > 0 && neighbor < nodes.len() - 1 {
+                areas[neighbor - 1] = area(nodes, neighbor);
+            }
         }
     }
-    if let Some(i) = least.1 {
-        nodes.remove(i);
-    }
+}
+
+/// What removing an inner node changes.
+fn area(nodes: &[Vertex], i: usize) -> f64 {
+    triangle(&nodes[i - 1], &nodes[i], &nodes[i + 1])
 }
 
 impl Oracle for Avsm {
     type Map = Vec<Vertex>;
 
     fn build(&self, pixel: &Pixel<'_>, nodes: &mut Vec<Vertex>) {
+        let mut areas = Vec::with_capacity(self.layers.min(pixel.list.len()) + 2);
         nodes.clear();
         for fragment in pixel.list.iter() {
             self.insert(nodes, &fragment);
-            while nodes.len() > self.layers {
-                remove_least(nodes);
-            }
+            reduce(nodes, self.layers, &mut areas);
         }
     }
 

@@ -2,12 +2,14 @@
 
 use crate::continuum::absorbance::{S_MAX, absorbances, transmittance, transmittances};
 use crate::continuum::oracle::{CHUNK, Composite, Oracle, TwoPass, see_one};
+use crate::continuum::search::count_leading;
 use crate::error::Result;
 use crate::fragments::{Fragment, List};
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties};
 use crate::techniques::ANY_ORDER;
 use multiversion::multiversion;
+use std::hint::select_unpredictable;
 
 /// The registry entry.
 pub static INFO: Info = Info {
@@ -126,13 +128,10 @@ impl Map {
     /// The cluster with the nearest centre, the nearer to the camera of two. Centres stay in order: each moves
     /// within the interval that is nearest to it.
     fn nearest(&self, d: f64) -> usize {
-        let behind = self.clusters.partition_point(|c| c.center < d);
+        let behind = count_leading(&self.clusters, |c| c.center < d);
         let distance = |i: usize| (self.clusters[i].center - d).abs();
-        match behind {
-            0 => 0,
-            i if i == self.clusters.len() || distance(i - 1) <= distance(i) => i - 1,
-            i => i,
-        }
+        let [before, after] = [behind.saturating_sub(1), behind.min(self.clusters.len() - 1)];
+        select_unpredictable(distance(before) <= distance(after), before, after)
     }
 
     /// τ at each depth, of which there are at most [`CHUNK`].
