@@ -2,9 +2,8 @@
 
 use super::linear::{Ldl, MAX_SIZE};
 use super::polynomial::{MAX_DEGREE, interpolate, real_roots, shifted};
-use super::roots::real_roots_of_monic;
+use super::roots::{BLOCK, in_whole_blocks, real_roots_of_monic};
 use super::{Basis, MAX_STORED, Regularization};
-use crate::continuum::oracle::CHUNK;
 use multiversion::multiversion;
 
 /// Moments that single precision ones are biased towards (M18's fp32 table). Odd ones are 0.
@@ -97,17 +96,19 @@ impl Basis for Powers {
 
     fn shares_in_front(&self, hankel: &Hankel, d: &[f64], overestimation: f64, shares: &mut [f64]) {
         let Some(ldl) = &hankel.ldl else { return shares.fill(0.0) };
-        let mut far = [0; CHUNK];
-        shares_among_near_roots(self.points, hankel, ldl, d, overestimation, shares, &mut far);
-        for ((share, &d), far) in shares.iter_mut().zip(d).zip(far) {
-            if far != 0 {
-                *share = self.share_among_near_roots(hankel, ldl, d, overestimation);
+        for (d, shares) in d.chunks(BLOCK).zip(shares.chunks_mut(BLOCK)) {
+            let mut far = [0; BLOCK];
+            shares_among_near_roots(self.points, hankel, ldl, d, overestimation, shares, &mut far);
+            for ((share, &d), far) in shares.iter_mut().zip(d).zip(far) {
+                if far != 0 {
+                    *share = self.share_among_near_roots(hankel, ldl, d, overestimation);
+                }
             }
         }
     }
 }
 
-/// [`Powers::share_among_near_roots`] for a chunk; `far` is not 0 where a root is left out, of which nothing is
+/// [`Powers::share_among_near_roots`] for a block; `far` is not 0 where a root is left out, of which nothing is
 /// known here.
 #[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
 fn shares_among_near_roots(
@@ -117,7 +118,7 @@ fn shares_among_near_roots(
     d: &[f64],
     overestimation: f64,
     shares: &mut [f64],
-    far: &mut [u64; CHUNK],
+    far: &mut [u64; BLOCK],
 ) {
     match points {
         2 => shares_among::<2, 3>(hankel, ldl, d, overestimation, shares, far),
@@ -135,10 +136,11 @@ fn shares_among<const P: usize, const N: usize>(
     d: &[f64],
     overestimation: f64,
     shares: &mut [f64],
-    far: &mut [u64; CHUNK],
+    far: &mut [u64; BLOCK],
 ) {
-    let count = d.len().min(shares.len()).min(CHUNK);
-    let (mut p, mut inverses) = ([[0.0; CHUNK]; MAX_DEGREE], [[0.0; CHUNK]; MAX_DEGREE]);
+    let (d, count) = in_whole_blocks(d);
+    let mut column = [0.0; BLOCK];
+    let (mut p, mut inverses) = ([[0.0; BLOCK]; MAX_DEGREE], [[0.0; BLOCK]; MAX_DEGREE]);
     for i in 0..count {
         let kernel = reversed_kernel::<P, N>(ldl, d[i]);
         for k in 0..P {
@@ -156,8 +158,9 @@ fn shares_among<const P: usize, const N: usize>(
             far[i] |= u64::from(inverse.abs() * FAR < 1.0);
         }
         let p = interpolate(&nodes, &values);
-        shares[i] = p.iter().zip(&hankel.moments).take(N).map(|(p, b)| p * b).sum();
+        column[i] = p.iter().zip(&hankel.moments).take(N).map(|(p, b)| p * b).sum();
     }
+    shares.copy_from_slice(&column[..shares.len()]);
 }
 
 impl Powers {

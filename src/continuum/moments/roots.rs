@@ -1,16 +1,28 @@
-//! [`real_roots`](super::polynomial::real_roots) of a chunk of polynomials, one beside the other in loops that
+//! [`real_roots`](super::polynomial::real_roots) of a block of polynomials, one beside the other in loops that
 //! vectorise. Every one goes through the same operations as it would alone, so its roots are the same to the bit.
 #![expect(clippy::inline_always, reason = "these take on their caller's instruction set")]
 #![expect(clippy::needless_bitwise_bool, reason = "a branch would keep loops from vectorising")]
 
 use super::polynomial::{LAST_STEP, MAX_DEGREE, MAX_STEPS, bounds, derivative, quadratic};
-use crate::continuum::oracle::CHUNK;
+use crate::continuum::series::LANES;
 
-/// A number for each fragment of a chunk.
-pub type Column = [f64; CHUNK];
+/// So many polynomials stand side by side: enough to hide how long a step of Newton's method takes, which is over
+/// when the slowest of them is done.
+pub const BLOCK: usize = 32;
 
-/// Newton's method stops when the slowest of so many polynomials is done.
-const TOGETHER: usize = 16;
+/// A number for each fragment of a block.
+pub type Column = [f64; BLOCK];
+
+/// The places of a block, filled up to whole blocks of lanes with copies of the last, and how many that makes:
+/// loops then leave no rest that is done one by one.
+#[inline(always)]
+pub fn in_whole_blocks(places: &[f64]) -> (Column, usize) {
+    let mut column = [0.0; BLOCK];
+    let count = places.len().next_multiple_of(LANES).min(BLOCK);
+    column[..places.len()].copy_from_slice(places);
+    column[places.len()..count].fill(places.last().copied().unwrap_or_default());
+    (column, count)
+}
 
 /// The coefficients of monic polynomials, ascending, without the leading one; or roots, ascending.
 pub type Columns = [Column; MAX_DEGREE];
@@ -35,14 +47,14 @@ fn quadratics(p: &Columns, count: usize, roots: &mut Columns) {
 
 #[inline(always)]
 fn cubics(p: &Columns, count: usize, roots: &mut Columns) {
-    let mut turns = [[0.0; CHUNK]; MAX_DEGREE];
+    let mut turns = [[0.0; BLOCK]; MAX_DEGREE];
     quadratics(&derivatives::<3>(p, count), count, &mut turns);
     roots_between::<3>(p, &turns, count, roots);
 }
 
 #[inline(always)]
 fn quartics(p: &Columns, count: usize, roots: &mut Columns) {
-    let mut turns = [[0.0; CHUNK]; MAX_DEGREE];
+    let mut turns = [[0.0; BLOCK]; MAX_DEGREE];
     cubics(&derivatives::<4>(p, count), count, &mut turns);
     roots_between::<4>(p, &turns, count, roots);
 }
@@ -55,7 +67,7 @@ fn coefficients<const N: usize>(p: &Columns, i: usize) -> [f64; MAX_DEGREE + 1] 
 
 #[inline(always)]
 fn derivatives<const N: usize>(p: &Columns, count: usize) -> Columns {
-    let mut derivatives = [[0.0; CHUNK]; MAX_DEGREE];
+    let mut derivatives = [[0.0; BLOCK]; MAX_DEGREE];
     for i in 0..count {
         let derivative = derivative(&coefficients::<N>(p, i)[..=N]);
         for (column, d) in derivatives.iter_mut().zip(derivative).take(N - 1) {
@@ -79,7 +91,7 @@ fn evaluate<const N: usize>(p: &Columns, i: usize, x: f64) -> (f64, f64) {
 #[inline(always)]
 fn roots_between<const N: usize>(p: &Columns, turns: &Columns, count: usize, roots: &mut Columns) {
     let mut search = Search::default();
-    let (mut lows, mut lasts) = ([0.0; CHUNK], [0.0; CHUNK]);
+    let (mut lows, mut lasts) = ([0.0; BLOCK], [0.0; BLOCK]);
     for i in 0..count {
         let (first, last) = bounds(&coefficients::<N>(p, i)[..=N]);
         (lows[i], lasts[i]) = (first.min(turns[0][i]), last);
@@ -90,9 +102,7 @@ fn roots_between<const N: usize>(p: &Columns, turns: &Columns, count: usize, roo
             search.begin::<N>(p, i, lows[i], high);
             lows[i] = high;
         }
-        for first in (0..count).step_by(TOGETHER) {
-            search.run::<N>(p, first, count.min(first + TOGETHER));
-        }
+        search.run::<N>(p, count);
         roots[root][..count].copy_from_slice(&search.x[..count]);
     }
 }
@@ -103,15 +113,15 @@ struct Search {
     high: Column,
     x: Column,
     /// 1 where the polynomial is negative at the lower end.
-    negative: [u64; CHUNK],
+    negative: [u64; BLOCK],
     /// 1 where the root is yet to be found.
-    active: [u64; CHUNK],
+    active: [u64; BLOCK],
 }
 
 impl Default for Search {
     fn default() -> Self {
-        let column = [0.0; CHUNK];
-        Self { low: column, high: column, x: column, negative: [0; CHUNK], active: [0; CHUNK] }
+        let column = [0.0; BLOCK];
+        Self { low: column, high: column, x: column, negative: [0; BLOCK], active: [0; BLOCK] }
     }
 }
 
@@ -130,9 +140,9 @@ impl Search {
 
     /// Until all are done.
     #[inline(always)]
-    fn run<const N: usize>(&mut self, p: &Columns, first: usize, end: usize) {
+    fn run<const N: usize>(&mut self, p: &Columns, count: usize) {
         for _ in 0..MAX_STEPS {
-            if self.step::<N>(p, first, end) == 0 {
+            if self.step::<N>(p, count) == 0 {
                 return;
             }
         }
@@ -140,9 +150,9 @@ impl Search {
 
     /// One step of each search that is active; the number of those that still are.
     #[inline(always)]
-    fn step<const N: usize>(&mut self, p: &Columns, first: usize, end: usize) -> u64 {
+    fn step<const N: usize>(&mut self, p: &Columns, count: usize) -> u64 {
         let mut still = 0;
-        for i in first..end {
+        for i in 0..count {
             let (x, low, high) = (self.x[i], self.low[i], self.high[i]);
             let active = self.active[i] == 1;
             let (value, slope) = evaluate::<N>(p, i, x);
@@ -198,9 +208,9 @@ mod tests {
     }
 
     fn check<const N: usize>() {
-        for count in [1, 7, 16, 61, CHUNK] {
+        for count in [1, 7, 16, 29, BLOCK] {
             let polynomials = polynomials(N, count);
-            let (mut p, mut roots) = ([[0.0; CHUNK]; MAX_DEGREE], [[0.0; CHUNK]; MAX_DEGREE]);
+            let (mut p, mut roots) = ([[0.0; BLOCK]; MAX_DEGREE], [[0.0; BLOCK]; MAX_DEGREE]);
             for (i, polynomial) in polynomials.iter().enumerate() {
                 (0..N).for_each(|k| p[k][i] = polynomial[k]);
             }

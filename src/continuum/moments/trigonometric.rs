@@ -3,7 +3,7 @@
 
 use super::linear::{Complex, Ldl, MAX_SIZE, Scalar};
 use super::polynomial::{MAX_DEGREE, interpolate};
-use super::roots::{Column, Columns, real_roots_of_monic};
+use super::roots::{BLOCK, Column, Columns, in_whole_blocks, real_roots_of_monic};
 use super::{Basis, MAX_STORED, Regularization};
 use crate::continuum::functions::sin_cos_of_turns;
 use crate::continuum::oracle::CHUNK;
@@ -131,7 +131,9 @@ impl Basis for Harmonics {
 
     fn shares_in_front(&self, toeplitz: &Toeplitz, d: &[f64], overestimation: f64, shares: &mut [f64]) {
         let Some(ldl) = &toeplitz.ldl else { return shares.fill(0.0) };
-        shares_of_canonical(self, toeplitz, ldl, d, overestimation, shares);
+        for (d, shares) in d.chunks(BLOCK).zip(shares.chunks_mut(BLOCK)) {
+            shares_of_canonical(self, toeplitz, ldl, d, overestimation, shares);
+        }
     }
 }
 
@@ -179,15 +181,16 @@ fn shares_of<const M: usize, const N: usize>(
     overestimation: f64,
     shares: &mut [f64],
 ) {
-    let count = d.len().min(shares.len()).min(CHUNK);
+    let (d, count) = in_whole_blocks(d);
+    let mut column = [0.0; BLOCK];
     let mut zeta = ComplexColumn::default();
     for (i, &d) in d[..count].iter().enumerate() {
         zeta.set(i, unit(harmonics.turns(d)));
     }
     let p = kernel_polynomials::<M, N>(harmonics, ldl, &zeta, count);
-    let mut roots = [[0.0; CHUNK]; MAX_DEGREE];
+    let mut roots = [[0.0; BLOCK]; MAX_DEGREE];
     real_roots_of_monic::<M>(&p, count, &mut roots);
-    let counts = counts::<M>(harmonics, d, count, &roots);
+    let counts = counts::<M>(harmonics, &d, count, &roots);
     for i in 0..count {
         let zeta = zeta.get(i);
         let mut nodes = [zeta; N];
@@ -201,11 +204,12 @@ fn shares_of<const M: usize, const N: usize>(
         for (p, moment) in p[..N].iter().zip(&toeplitz.moments[..N]) {
             share += (*p * *moment).re;
         }
-        shares[i] = share;
+        column[i] = share;
     }
+    shares.copy_from_slice(&column[..shares.len()]);
 }
 
-/// A complex number for each fragment of a chunk.
+/// A complex number for each fragment of a block.
 #[derive(Clone, Copy)]
 struct ComplexColumn {
     re: Column,
@@ -214,7 +218,7 @@ struct ComplexColumn {
 
 impl Default for ComplexColumn {
     fn default() -> Self {
-        Self { re: [0.0; CHUNK], im: [0.0; CHUNK] }
+        Self { re: [0.0; BLOCK], im: [0.0; BLOCK] }
     }
 }
 
@@ -233,7 +237,7 @@ impl ComplexColumn {
 /// 1, ζ, ζ², ...
 #[inline(always)]
 fn column_powers<const N: usize>(zeta: &ComplexColumn, count: usize) -> [ComplexColumn; N] {
-    let mut powers = [ComplexColumn { re: [1.0; CHUNK], im: [0.0; CHUNK] }; N];
+    let mut powers = [ComplexColumn { re: [1.0; BLOCK], im: [0.0; BLOCK] }; N];
     for k in 1..N {
         for i in 0..count {
             let power = powers[k - 1].get(i) * zeta.get(i);
@@ -287,7 +291,7 @@ fn kernel_polynomials<const M: usize, const N: usize>(
     let powers = column_powers::<N>(zeta, count);
     let mut kernel = powers;
     solve_columns(ldl, &mut kernel, count);
-    let (mut p, mut leading) = ([[0.0; CHUNK]; MAX_DEGREE], [0.0; CHUNK]);
+    let (mut p, mut leading) = ([[0.0; BLOCK]; MAX_DEGREE], [0.0; BLOCK]);
     for j in 0..N {
         let sign = if j.is_multiple_of(2) { 1.0 } else { -1.0 };
         for (k, c) in harmonics.cayley[j].iter().enumerate().take(N) {
@@ -318,15 +322,15 @@ fn on_circle(zeta: Complex, t: f64) -> Complex {
 /// its end, and all beyond that.
 #[inline(always)]
 fn counts<const M: usize>(harmonics: &Harmonics, d: &[f64], count: usize, roots: &Columns) -> Columns {
-    let mut counts = [[0.0; CHUNK]; MAX_DEGREE];
-    let mut limits = ([0.0; CHUNK], [0.0; CHUNK]);
+    let mut counts = [[0.0; BLOCK]; MAX_DEGREE];
+    let mut limits = ([0.0; BLOCK], [0.0; BLOCK]);
     for (i, &d) in d[..count].iter().enumerate() {
         let turns = harmonics.turns(d);
         // 2 atan t is the angle from opposite d: up to the end of the circle, and to the zone
         limits.0[i] = cot_of_half(turns);
         limits.1[i] = cot_of_half(turns + harmonics.wrapping_zone / TAU);
     }
-    let mut in_zone = [0; CHUNK];
+    let mut in_zone = [0; BLOCK];
     for k in 0..M {
         for i in 0..count {
             let t = roots[k][i];
