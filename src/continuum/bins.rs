@@ -1,7 +1,11 @@
 //! Depth bins, each a blended layer of its own.
 
+use super::functions::exp;
 use super::normalize::Core;
+use super::oracle::CHUNK;
 use super::sums::BlendSums;
+use multiversion::multiversion;
+use std::f64::consts::LN_2;
 
 /// Bins that one pass of layered rendering fills (FEE21 §4: 32 geometry shader instances).
 pub const BATCH: usize = 32;
@@ -23,13 +27,15 @@ pub const SUPPORT: usize = 2 * REACH + 1;
 impl BinFunction {
     /// The function at the bins `own − REACH ..= own + REACH`, for a fragment `x` bin widths behind the
     /// centre of its own, `|x| <= 1/2`.
+    #[inline(always)]
+    #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
     #[expect(clippy::cast_possible_truncation, reason = "weights are evaluated in f32")]
     pub fn shares(self, x: f64) -> [f32; SUPPORT] {
         let x = x as f32;
         match self {
             Self::Bell => {
                 // 2^-4(x−j)² = 2^-4x² 2^8xj 2^-4j²: two exponentials for all five bins
-                let (own, step) = ((-4.0 * x * x).exp2(), (8.0 * x).exp2());
+                let (own, step) = (exp2(-4.0 * x * x), exp2(8.0 * x));
                 let (one, two) = (own * 0.0625, own * 2.0_f32.powi(-16));
                 [two / (step * step), one / step, own, one * step, two * step * step]
             }
@@ -38,35 +44,81 @@ impl BinFunction {
     }
 }
 
+/// 2^x, rounded once from f64.
+#[inline(always)]
+#[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+#[expect(clippy::cast_possible_truncation, reason = "weights are evaluated in f32")]
+fn exp2(x: f32) -> f32 {
+    exp(LN_2 * f64::from(x)) as f32
+}
+
+/// The shares of a chunk of fragments, bin by bin of their reach.
+pub type Shares = [[f32; CHUNK]; SUPPORT];
+
+/// [`BinFunction::shares`] of each fragment.
+#[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
+pub fn share_out(function: BinFunction, xs: &[f64], shares: &mut Shares) {
+    match function {
+        BinFunction::Bell => share_with(xs, shares, |x| BinFunction::Bell.shares(x)),
+        BinFunction::Tent => share_with(xs, shares, |x| BinFunction::Tent.shares(x)),
+    }
+}
+
+#[inline(always)]
+#[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+fn share_with(xs: &[f64], shares: &mut Shares, function: impl Fn(f64) -> [f32; SUPPORT]) {
+    let [a, b, c, d, e] = shares;
+    for (i, x) in xs.iter().enumerate().take(CHUNK) {
+        [a[i], b[i], c[i], d[i], e[i]] = function(*x);
+    }
+}
+
 /// The bins of one pixel. Only those that a fragment touched cost anything, however many there are.
 #[derive(Debug, Default)]
 pub struct Bins {
+    /// With [`REACH`] more at either end, which nothing sees, so that no fragment reaches beyond them.
     sums: Vec<BlendSums>,
-    /// One bit per bin that holds something, one word per batch.
-    touched: Vec<u32>,
+    /// One bit per bin that holds something.
+    touched: Vec<u64>,
 }
 
 impl Bins {
     /// Makes room for `count` empty bins.
     pub fn reset(&mut self, count: usize) {
-        self.sums.resize(count, BlendSums::CLEAR);
-        self.touched.resize(count.div_ceil(BATCH), 0);
+        let all = count + 2 * REACH;
+        self.sums.resize(all, BlendSums::CLEAR);
+        self.touched.resize(all.div_ceil(64) + 1, 0);
     }
 
     /// Bin `k`, to be blended into.
     pub fn touch(&mut self, k: usize) -> &mut BlendSums {
-        self.touched[k / BATCH] |= 1 << (k % BATCH);
+        let k = k + REACH;
+        self.touched[k / 64] |= 1 << (k % 64);
         &mut self.sums[k]
     }
 
-    /// Composites the bins front to back, batch by batch (FEE21 eq. 4), and empties them.
+    /// Bin `own` and those in its reach, to be blended into; some may not exist.
+    pub fn touch_reach(&mut self, own: usize) -> &mut [BlendSums; SUPPORT] {
+        const ALL: u64 = (1 << SUPPORT) - 1;
+        let (word, bit) = (own / 64, own % 64);
+        self.touched[word] |= ALL << bit;
+        // what is shifted out at the top of the word
+        self.touched[word + 1] |= ALL >> 1 >> (63 - bit);
+        let reach = self.sums[own..].first_chunk_mut();
+        reach.unwrap_or_else(|| unreachable!("bins have neighbours at either end"))
+    }
+
+    /// Composites the bins front to back (FEE21 eq. 4), and empties them.
     pub fn under_blend(&mut self) -> Core {
         let mut layers = Core::CLEAR;
-        for (batch, touched) in self.touched.iter_mut().enumerate() {
+        let exist = REACH..self.sums.len() - REACH;
+        for (word, touched) in self.touched.iter_mut().enumerate() {
             while *touched != 0 {
-                let bin = &mut self.sums[batch * BATCH + touched.trailing_zeros() as usize];
-                layers.put_bin_behind(bin);
-                *bin = BlendSums::CLEAR;
+                let k = word * 64 + touched.trailing_zeros() as usize;
+                if exist.contains(&k) {
+                    layers.put_bin_behind(&self.sums[k]);
+                }
+                self.sums[k] = BlendSums::CLEAR;
                 *touched &= *touched - 1;
             }
         }

@@ -44,6 +44,7 @@ fn share<W: Words>(mask: &Mask<W>) -> f64 {
 /// Shares are counted in samples and divided by their number in the end, so that they are exact.
 impl<W: Words> Opacity for Coverage<W> {
     type Paint = Samples<W>;
+    const OCCLUDES: bool = true;
 
     #[expect(clippy::cast_precision_loss, reason = "far fewer than 2^53 samples")]
     fn clear(&self) -> f64 {

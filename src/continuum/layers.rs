@@ -6,6 +6,7 @@ use super::merge::Merge;
 use super::normalize::Normalize;
 use super::opacity::Opacity;
 use super::oracle::{Composite, Oracle};
+use super::search::count_leading;
 use super::steps::Steps;
 use crate::fragments::Fragment;
 use crate::order::sort_key;
@@ -37,7 +38,7 @@ impl<P> Node<P> {
 
 /// Where in a list sorted by key a newcomer belongs: behind its equals.
 pub fn place_of<P>(nodes: &[Node<P>], key: u64) -> usize {
-    nodes.partition_point(|node| node.key <= key)
+    count_leading(nodes, |node| node.key <= key)
 }
 
 /// A choice on the axes that shape the list itself.
@@ -104,7 +105,11 @@ impl<I: Insertion<O>, M: Merge<O>, O: Opacity> Stream<I, M, O> {
             lost.push(source);
             return;
         };
-        nodes.insert(at, Node { key, source, paint });
+        let node = Node { key, source, paint };
+        if !O::OCCLUDES && nodes.len() == self.layers.saturating_add(M::EXTRA_NODES) {
+            return self.merge.insert_into_full(&self.opacity, nodes, at, node, self.layers, merge, lost);
+        }
+        nodes.insert(at, node);
         self.opacity.occlude(nodes, at);
         if self.merge.is_overfull(nodes, at, self.layers, merge) {
             self.merge.make_room(&self.opacity, nodes, at, merge, lost);

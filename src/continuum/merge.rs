@@ -4,6 +4,7 @@ use super::layers::Node;
 use super::opacity::Opacity;
 use super::range::{DepthRange, Interval, cell};
 use crate::technique::Pixel;
+use std::hint::select_unpredictable;
 
 /// What happens on overflow.
 pub trait Merge<O: Opacity>: Send + Sync + 'static {
@@ -48,12 +49,74 @@ pub trait Merge<O: Opacity>: Send + Sync + 'static {
         state: &mut Self::State,
         lost: &mut Vec<u32>,
     );
+
+    /// Inserts a node into a list of `layers` that is full, and makes room for it where it needs room. Merges
+    /// that know the outcome beforehand move fewer nodes.
+    #[expect(clippy::too_many_arguments, reason = "those of an insertion and of make_room")]
+    fn insert_into_full(
+        &self,
+        opacity: &O,
+        nodes: &mut Vec<Node<O::Paint>>,
+        at: usize,
+        newcomer: Node<O::Paint>,
+        layers: usize,
+        state: &mut Self::State,
+        lost: &mut Vec<u32>,
+    ) {
+        nodes.insert(at, newcomer);
+        if self.is_overfull(nodes, at, layers, state) {
+            self.make_room(opacity, nodes, at, state, lost);
+        }
+    }
 }
 
 /// Merges node `j + 1` into the adjacent node `j`, which keeps its place.
 pub fn merge_pair<O: Opacity>(opacity: &O, nodes: &mut Vec<Node<O::Paint>>, j: usize) {
     let behind = nodes.remove(j + 1);
     opacity.merge(&mut nodes[j].paint, &behind.paint);
+}
+
+/// What inserting a node in place `at` and then merging nodes j and j + 1 comes to, with only those moved that
+/// lie between.
+fn insert_and_merge_pair<O: Opacity>(
+    opacity: &O,
+    nodes: &mut [Node<O::Paint>],
+    at: usize,
+    mut newcomer: Node<O::Paint>,
+    j: usize,
+) {
+    if j + 1 == at {
+        opacity.merge(&mut nodes[j].paint, &newcomer.paint);
+    } else if j == at {
+        opacity.merge(&mut newcomer.paint, &nodes[at].paint);
+        nodes[at] = newcomer;
+    } else if j < at {
+        let (front, behind) = nodes.split_at_mut(j + 1);
+        opacity.merge(&mut front[j].paint, &behind[0].paint);
+        nodes[j + 1..at].rotate_left(1);
+        nodes[at - 1] = newcomer;
+    } else {
+        let (front, behind) = nodes.split_at_mut(j);
+        opacity.merge(&mut front[j - 1].paint, &behind[0].paint);
+        nodes[at..=j].rotate_right(1);
+        nodes[at] = newcomer;
+    }
+}
+
+/// A list that a newcomer would make longer.
+struct Extended<'a, P> {
+    nodes: &'a [Node<P>],
+    at: usize,
+    newcomer: &'a Node<P>,
+}
+
+impl<P> Extended<'_, P> {
+    fn len(&self) -> usize {
+        self.nodes.len() + 1
+    }
+    fn node(&self, i: usize) -> &Node<P> {
+        if i == self.at { self.newcomer } else { &self.nodes[i - usize::from(i > self.at)] }
+    }
 }
 
 /// The furthest node is discarded.
@@ -94,6 +157,19 @@ impl<O: Opacity> Merge<O> for OverFurthest {
     ) {
         merge_pair(opacity, nodes, nodes.len() - 2);
     }
+    fn insert_into_full(
+        &self,
+        opacity: &O,
+        nodes: &mut Vec<Node<O::Paint>>,
+        at: usize,
+        newcomer: Node<O::Paint>,
+        _layers: usize,
+        (): &mut (),
+        _lost: &mut Vec<u32>,
+    ) {
+        let furthest = nodes.len() - 1;
+        insert_and_merge_pair(opacity, nodes, at, newcomer, furthest);
+    }
 }
 
 /// The nearest node is flushed into an accumulator that counts as in front of all later arrivals (k-buffer).
@@ -118,6 +194,18 @@ impl<O: Opacity> Merge<O> for OverNearest {
     ) {
         merge_pair(opacity, nodes, 0);
     }
+    fn insert_into_full(
+        &self,
+        opacity: &O,
+        nodes: &mut Vec<Node<O::Paint>>,
+        at: usize,
+        newcomer: Node<O::Paint>,
+        _layers: usize,
+        (): &mut (),
+        _lost: &mut Vec<u32>,
+    ) {
+        insert_and_merge_pair(opacity, nodes, at, newcomer, 0);
+    }
 }
 
 /// The two adjacent nodes with the smallest gap become one (Z³), the nearest of such pairs.
@@ -133,18 +221,40 @@ impl<O: Opacity> Merge<O> for OverClosest {
         &self,
         opacity: &O,
         nodes: &mut Vec<Node<O::Paint>>,
-        _newcomer: usize,
+        newcomer_at: usize,
+        (): &mut (),
+        lost: &mut Vec<u32>,
+    ) {
+        let newcomer = nodes.remove(newcomer_at);
+        self.insert_into_full(opacity, nodes, newcomer_at, newcomer, usize::MAX, &mut (), lost);
+    }
+    fn insert_into_full(
+        &self,
+        opacity: &O,
+        nodes: &mut Vec<Node<O::Paint>>,
+        at: usize,
+        mut newcomer: Node<O::Paint>,
+        _layers: usize,
         (): &mut (),
         _lost: &mut Vec<u32>,
     ) {
-        let gap = |j: usize| f64::from(nodes[j + 1].depth()) - f64::from(nodes[j].depth());
-        let j = smallest(0..nodes.len() - 1, gap);
+        let all = Extended { nodes, at, newcomer: &newcomer };
+        let depth = |i: usize| f64::from(all.node(i).depth());
+        let mut nearer = depth(0);
+        let gap = |j: usize| {
+            let further = depth(j + 1);
+            let gap = further - nearer;
+            nearer = further;
+            gap
+        };
+        let j = smallest(0..all.len() - 1, gap);
         if self.mean_depth {
             // the mean of neighbours is between them, so the order of nodes stays
-            let mean = f32::midpoint(nodes[j].depth(), nodes[j + 1].depth());
-            nodes[j].set_depth(mean);
+            let mean = f32::midpoint(all.node(j).depth(), all.node(j + 1).depth());
+            let kept = if j == at { &mut newcomer } else { &mut nodes[j - usize::from(j > at)] };
+            kept.set_depth(mean);
         }
-        merge_pair(opacity, nodes, j);
+        insert_and_merge_pair(opacity, nodes, at, newcomer, j);
     }
 }
 
@@ -163,23 +273,35 @@ impl<O: Opacity> Merge<O> for SmallestError {
         &self,
         opacity: &O,
         nodes: &mut Vec<Node<O::Paint>>,
-        _newcomer: usize,
+        newcomer_at: usize,
+        (): &mut (),
+        lost: &mut Vec<u32>,
+    ) {
+        let newcomer = nodes.remove(newcomer_at);
+        self.insert_into_full(opacity, nodes, newcomer_at, newcomer, usize::MAX, &mut (), lost);
+    }
+    fn insert_into_full(
+        &self,
+        opacity: &O,
+        nodes: &mut Vec<Node<O::Paint>>,
+        at: usize,
+        newcomer: Node<O::Paint>,
+        _layers: usize,
         (): &mut (),
         _lost: &mut Vec<u32>,
     ) {
-        let shown = |shown, nodes: &[Node<O::Paint>]| {
-            nodes.iter().fold(shown, |shown, node| opacity.behind(shown, &node.paint))
-        };
-        let mut in_front = shown(opacity.clear(), &nodes[..self.protected]);
+        let all = Extended { nodes, at, newcomer: &newcomer };
+        let behind = |shown, i: usize| opacity.behind(shown, &all.node(i).paint);
+        let mut in_front = (0..self.protected).fold(opacity.clear(), behind);
+        let mut nearer = f64::from(all.node(self.protected - 1).depth());
         let error = |j: usize| {
-            let behind = opacity.behind(in_front, &nodes[j].paint);
-            let gap = f64::from(nodes[j].depth()) - f64::from(nodes[j - 1].depth());
-            let error = gap * (in_front - behind);
-            in_front = behind;
+            let (behind, further) = (behind(in_front, j), f64::from(all.node(j).depth()));
+            let error = (further - nearer) * (in_front - behind);
+            (in_front, nearer) = (behind, further);
             error
         };
-        let j = smallest(self.protected..nodes.len(), error);
-        merge_pair(opacity, nodes, j - 1);
+        let j = smallest(self.protected..all.len(), error);
+        insert_and_merge_pair(opacity, nodes, at, newcomer, j - 1);
     }
 }
 
@@ -188,9 +310,7 @@ fn smallest(places: std::ops::Range<usize>, mut measure: impl FnMut(usize) -> f6
     let mut best = (places.start, f64::INFINITY);
     for j in places {
         let size = measure(j);
-        if size < best.1 {
-            best = (j, size);
-        }
+        best = select_unpredictable(size < best.1, (j, size), best);
     }
     best.0
 }

@@ -11,6 +11,8 @@ use glam::Vec3;
 pub trait Opacity: Send + Sync + 'static {
     /// What a node holds besides its place in depth.
     type Paint: 'static;
+    /// Whether [`Opacity::occlude`] does anything.
+    const OCCLUDES: bool = false;
 
     /// What shows through an empty list, in the unit that this opacity counts in.
     fn clear(&self) -> f64 {

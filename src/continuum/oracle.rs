@@ -2,7 +2,7 @@
 //! (sheet 0.3). They differ in the basis that T̂ is written in, and in nothing else.
 
 use super::sums::{BlendSums, blend};
-use crate::fragments::Fragment;
+use crate::fragments::{Fragment, List};
 use crate::params::{Kind, ParamSpec, Params, Value};
 use crate::technique::{Cost, DepthComplexity, Pixel, Properties, Resolved, Technique};
 
@@ -60,6 +60,25 @@ impl Composite {
 /// underflows then falls back to MB13 eq. 5 instead of showing the background.
 pub const FLOOR: f64 = 1e-30;
 
+/// So many fragments are looked at together, in loops that vectorise.
+pub const CHUNK: usize = 64;
+
+/// A list in parts of at most [`CHUNK`] fragments.
+pub fn chunks(list: List<'_>) -> impl Iterator<Item = List<'_>> {
+    let parts = list.depth.chunks(CHUNK).zip(list.color.chunks(CHUNK));
+    let parts = parts.zip(list.alpha.chunks(CHUNK).zip(list.primitive.chunks(CHUNK)));
+    parts.map(|((depth, color), (alpha, primitive))| List { depth, color, alpha, primitive })
+}
+
+/// [`Oracle::in_front_of`] by means of [`Oracle::see`].
+pub fn see_one<O: Oracle>(oracle: &O, map: &O::Map, fragment: &Fragment) -> f64 {
+    let mut seen = [0.0];
+    let Fragment { depth, color, alpha, primitive } = *fragment;
+    let list = List { depth: &[depth], color: &[color], alpha: &[alpha], primitive: &[primitive] };
+    oracle.see(map, list, &mut seen);
+    seen[0]
+}
+
 /// A basis for a pixel's transmittance function, with its params bound.
 pub trait Oracle: Send + Sync + 'static {
     /// The function of one pixel, and what building it needs; reused from pixel to pixel.
@@ -73,6 +92,13 @@ pub trait Oracle: Send + Sync + 'static {
     /// T̂ strictly in front of one of the pixel's fragments, at its (depth, primitive), freed of the
     /// fragment's own absorbance where the technique does so.
     fn in_front_of(&self, map: &Self::Map, fragment: &Fragment) -> f64;
+
+    /// [`Oracle::in_front_of`] for each of at most [`CHUNK`] of the pixel's fragments.
+    fn see(&self, map: &Self::Map, list: List<'_>, seen: &mut [f64]) {
+        for (seen, fragment) in seen.iter_mut().zip(list.iter()) {
+            *seen = self.in_front_of(map, &fragment);
+        }
+    }
 
     /// T̂ strictly in front of any depth.
     fn at(&self, map: &Self::Map, depth: f32) -> f64;
@@ -102,10 +128,14 @@ impl<O: Oracle> TwoPass<O> {
         let list = if O::NEEDS_SORTED { pixel.sorted } else { pixel.list };
         let floor = if self.composite == Composite::Normalize { FLOOR } else { 0.0 };
         let mut sums = BlendSums::CLEAR;
-        for fragment in list.iter() {
-            #[expect(clippy::cast_possible_truncation, reason = "the sums are f32 targets")]
-            let weight = self.oracle.in_front_of(map, &fragment).max(floor) as f32;
-            sums.add(weight, fragment.color, fragment.alpha);
+        let mut seen = [0.0; CHUNK];
+        for part in chunks(list) {
+            self.oracle.see(map, part, &mut seen[..part.len()]);
+            for ((t, &color), &alpha) in seen.iter().zip(part.color).zip(part.alpha) {
+                #[expect(clippy::cast_possible_truncation, reason = "the sums are f32 targets")]
+                let weight = t.max(floor) as f32;
+                sums.add(weight, color, alpha);
+            }
         }
         sums
     }

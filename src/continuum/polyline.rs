@@ -1,33 +1,34 @@
 //! Piecewise linear transmittance: vertices that say which face of which fragment they are, so that coincident
 //! fragments occlude each other as the reference has it (sheet 0.1).
 
+use super::search::count_leading;
 use crate::fragments::Fragment;
 use crate::order::sort_key;
 
 /// A face of a fragment. Faces are ordered as a ray from the eye meets them: by depth, then primitive, front
-/// before back.
+/// before back. Depths are not negative, so that their sign has room for that in one integer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub struct Label {
-    key: u64,
-    back: bool,
-}
+pub struct Label(u64);
 
 impl Label {
+    fn new(depth: f32, primitive: u32, back: bool) -> Self {
+        Self(sort_key(depth, primitive) << 1 | u64::from(back))
+    }
     /// The nearest label at a depth: strictly in front of every fragment there.
     pub fn at(depth: f32) -> Self {
-        Self { key: sort_key(depth, 0), back: false }
+        Self::new(depth, 0, false)
     }
     /// A fragment's front.
     pub fn front(fragment: &Fragment) -> Self {
-        Self { key: sort_key(fragment.depth, fragment.primitive), back: false }
+        Self::new(fragment.depth, fragment.primitive, false)
     }
     /// The back of a fragment that ends at `depth`.
     pub fn back(fragment: &Fragment, depth: f32) -> Self {
-        Self { key: sort_key(depth, fragment.primitive), back: true }
+        Self::new(depth, fragment.primitive, true)
     }
     /// Where it is.
     pub fn depth(self) -> f64 {
-        f32::from_bits((self.key >> 32) as u32).into()
+        f32::from_bits((self.0 >> 33) as u32).into()
     }
 }
 
@@ -44,7 +45,17 @@ pub struct Vertex {
 /// else the value at that depth in front of the label, or behind it; else interpolated. 1 before the first vertex,
 /// constant behind the last.
 pub fn evaluate(vertices: &[Vertex], label: Label) -> f64 {
-    let (front, behind) = vertices.split_at(vertices.partition_point(|v| v.label <= label));
+    evaluate_behind(vertices, count_in_front(vertices, label), label)
+}
+
+/// How many vertices are not behind `label`.
+pub fn count_in_front(vertices: &[Vertex], label: Label) -> usize {
+    count_leading(vertices, |v| v.label <= label)
+}
+
+/// [`evaluate`], given how many vertices are not behind the label.
+pub fn evaluate_behind(vertices: &[Vertex], in_front: usize, label: Label) -> f64 {
+    let (front, behind) = vertices.split_at(in_front);
     let Some(a) = front.last() else { return 1.0 };
     let z = label.depth();
     let transmittance = match behind.first() {
@@ -70,7 +81,7 @@ mod tests {
     use super::*;
 
     fn vertex(depth: f32, primitive: u32, back: bool, transmittance: f64) -> Vertex {
-        Vertex { label: Label { key: sort_key(depth, primitive), back }, transmittance }
+        Vertex { label: Label::new(depth, primitive, back), transmittance }
     }
 
     fn label(depth: f32, primitive: u32, back: bool) -> Label {

@@ -2,6 +2,7 @@
 
 use crate::fragments::List;
 use crate::params::{Kind, ParamSpec, Params, Value, View};
+use multiversion::multiversion;
 
 /// Where a pixel's depth interval comes from.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -72,6 +73,22 @@ impl Interval {
             return 0.0;
         }
         ((f64::from(depth) - self.lo) / (self.hi - self.lo)).clamp(0.0, 1.0)
+    }
+
+    /// [`Interval::position`] of each depth.
+    pub fn positions(&self, depth: &[f32], positions: &mut [f64]) {
+        if self.hi <= self.lo {
+            positions.fill(0.0);
+        } else {
+            positions_within(self.lo, self.hi, depth, positions);
+        }
+    }
+}
+
+#[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
+fn positions_within(lo: f64, hi: f64, depth: &[f32], positions: &mut [f64]) {
+    for (position, &depth) in positions.iter_mut().zip(depth) {
+        *position = ((f64::from(depth) - lo) / (hi - lo)).clamp(0.0, 1.0);
     }
 }
 

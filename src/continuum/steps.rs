@@ -1,5 +1,6 @@
 //! Transmittance as lists and samples store it: a step function of (depth, primitive).
 
+use super::search::count_leading;
 use crate::order::sort_key;
 
 /// Steps from 1 downwards, nearest first. Those at equal depth are told apart by primitive (sheet 0.1).
@@ -21,7 +22,7 @@ impl Steps {
     }
     /// The transmittance strictly in front of a [`sort_key`].
     pub fn in_front_of(&self, key: u64) -> f64 {
-        match self.steps.partition_point(|step| step.0 < key) {
+        match count_leading(&self.steps, |step| step.0 < key) {
             0 => 1.0,
             in_front => self.steps[in_front - 1].1,
         }

@@ -1,12 +1,13 @@
 //! Adaptive volumetric shadow maps (Salvi et al. 2010): a polyline of k nodes, compressed as fragments arrive.
 
 use crate::continuum::oracle::{Composite, Oracle, TwoPass};
-use crate::continuum::polyline::{Label, Vertex, evaluate, triangle};
+use crate::continuum::polyline::{Label, Vertex, count_in_front, evaluate, evaluate_behind, triangle};
 use crate::error::Result;
 use crate::fragments::Fragment;
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties};
 use crate::techniques::ANY_ORDER;
+use std::hint::select_unpredictable;
 
 /// The registry entry.
 pub static INFO: Info = Info {
@@ -63,41 +64,65 @@ impl Avsm {
     /// all that it absorbs.
     fn insert(&self, nodes: &mut Vec<Vertex>, fragment: &Fragment) {
         let end = self.end(fragment);
-        let (front, back) = (Label::front(fragment), Label::back(fragment, end));
+        let labels = [Label::front(fragment), Label::back(fragment, end)];
+        let [first, last] = labels.map(|label| count_in_front(nodes, label));
         let through = 1.0 - f64::from(fragment.alpha);
-        let [front, back] = [(front, 1.0), (back, through)]
-            .map(|(label, t)| Vertex { label, transmittance: t * evaluate(nodes, label) });
-        let [first, last] = [front, back].map(|v| nodes.partition_point(|node| node.label <= v.label));
+        let front = Vertex { label: labels[0], transmittance: evaluate_behind(nodes, first, labels[0]) };
+        let back =
+            Vertex { label: labels[1], transmittance: through * evaluate_behind(nodes, last, labels[1]) };
         let length = f64::from(end) - f64::from(fragment.depth);
         for node in nodes[first..last].iter_mut().filter(|_| length > 0.0) {
             let inside = (node.label.depth() - f64::from(fragment.depth)) / length;
             node.transmittance *= 1.0 - inside * f64::from(fragment.alpha);
         }
         nodes[last..].iter_mut().for_each(|node| node.transmittance *= through);
-        nodes.insert(last, back);
-        nodes.insert(first, front);
+        nodes.extend([back; 2]);
+        let end = nodes.len();
+        nodes.copy_within(last..end - 2, last + 2);
+        nodes.copy_within(first..last, first + 1);
+        (nodes[first], nodes[last + 1]) = (front, back);
     }
 }
 
-/// Removes the inner node that matters least, the nearest of several.
-fn remove_least(nodes: &mut Vec<Vertex>) {
-    let area = |i: &usize| triangle(&nodes[i - 1], &nodes[*i], &nodes[i + 1]);
-    let least = (1..nodes.len() - 1).min_by(|i, j| area(i).total_cmp(&area(j)));
-    if let Some(i) = least {
-        nodes.remove(i);
+/// Removes the inner nodes that matter least, the nearest of several, until `layers` are left.
+fn reduce(nodes: &mut Vec<Vertex>, layers: usize, areas: &mut Vec<f64>) {
+    if nodes.len() <= layers {
+        return;
     }
+    // place i is that of node i + 1
+    areas.clear();
+    areas.extend((1..nodes.len() - 1).map(|i| area(nodes, i)));
+    while nodes.len() > layers {
+        let mut least = (f64::INFINITY, 0);
+        for (i, &area) in areas.iter().enumerate() {
+            least = select_unpredictable(area < least.0, (area, i), least);
+        }
+        let i = least.1 + 1;
+        nodes.remove(i);
+        areas.remove(i - 1);
+        // what was removed was a neighbour of these two
+        for neighbor in [i - 1, i] {
+            if neighbor > 0 && neighbor < nodes.len() - 1 {
+                areas[neighbor - 1] = area(nodes, neighbor);
+            }
+        }
+    }
+}
+
+/// What removing an inner node changes.
+fn area(nodes: &[Vertex], i: usize) -> f64 {
+    triangle(&nodes[i - 1], &nodes[i], &nodes[i + 1])
 }
 
 impl Oracle for Avsm {
     type Map = Vec<Vertex>;
 
     fn build(&self, pixel: &Pixel<'_>, nodes: &mut Vec<Vertex>) {
+        let mut areas = Vec::with_capacity(self.layers.min(pixel.list.len()) + 2);
         nodes.clear();
         for fragment in pixel.list.iter() {
             self.insert(nodes, &fragment);
-            while nodes.len() > self.layers {
-                remove_least(nodes);
-            }
+            reduce(nodes, self.layers, &mut areas);
         }
     }
 

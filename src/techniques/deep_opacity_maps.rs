@@ -1,8 +1,8 @@
 //! Deep opacity maps (Yuksel & Keyser 2008): opacity layers that follow each pixel's first surface.
 
-use crate::continuum::absorbance::{S_MAX, SELF_CORRECT, absorbance, transmittance};
+use crate::continuum::absorbance::{S_MAX, SELF_CORRECT, absorbances, transmittance, transmittances};
 use crate::continuum::binned::BinnedAbsorbance;
-use crate::continuum::oracle::{Composite, Oracle, TwoPass};
+use crate::continuum::oracle::{CHUNK, Composite, Oracle, TwoPass, chunks, see_one};
 use crate::continuum::range::{DepthRange, cell};
 use crate::error::Result;
 use crate::fragments::{Fragment, List};
@@ -75,17 +75,21 @@ impl Spacing {
 }
 
 /// The layer among `count` whose k-th boundary is (2^k − 1)/(2^count − 1).
-#[expect(
-    clippy::cast_possible_truncation,
-    clippy::cast_sign_loss,
-    clippy::cast_precision_loss,
-    reason = "logarithms of numbers from 1 to 2^1000"
-)]
 fn doubling_layer(x: f64, count: usize) -> (usize, f64) {
-    let position = x * ((count as f64).exp2() - 1.0);
-    let start = |k: usize| (k as f64).exp2() - 1.0;
-    let layer = ((1.0 + position).log2() as usize).min(count - 1);
-    (layer, ((position - start(layer)) / (layer as f64).exp2()).clamp(0.0, 1.0))
+    let position = x * (power_of_two(count) - 1.0);
+    let layer = exponent(1.0 + position).min(count - 1);
+    let width = power_of_two(layer);
+    (layer, ((position - (width - 1.0)) / width).clamp(0.0, 1.0))
+}
+
+/// 2^k for k up to [`FINEST`].
+fn power_of_two(k: usize) -> f64 {
+    f64::from_bits((k as u64 + 1023) << 52)
+}
+
+/// The largest k such that 2^k is at most `x`, which is at least 1.
+fn exponent(x: f64) -> usize {
+    (x.to_bits() >> 52) as usize - 1023
 }
 
 /// Absorbance in layers behind the first surface.
@@ -141,15 +145,32 @@ impl Oracle for DeepOpacityMaps {
     fn build(&self, pixel: &Pixel<'_>, map: &mut Map) {
         (map.first, map.extent) = self.bounds(pixel.list);
         let mut layers = std::mem::take(&mut map.layers);
-        let deposit = |f: Fragment| (self.place(map, f.depth).0, absorbance(f.alpha, self.s_max));
-        layers.fill(pixel.list.iter().map(deposit));
+        layers.clear(self.bins);
+        let mut s = [0.0; CHUNK];
+        for part in chunks(pixel.list) {
+            absorbances(part.alpha, self.s_max, &mut s);
+            for (&depth, &s) in part.depth.iter().zip(&s) {
+                layers.add(self.place(map, depth).0, s);
+            }
+        }
+        layers.end();
         map.layers = layers;
     }
 
     fn in_front_of(&self, map: &Map, fragment: &Fragment) -> f64 {
-        let place = self.place(map, fragment.depth);
-        let own = if self.self_correct { place.1 * absorbance(fragment.alpha, self.s_max) } else { 0.0 };
-        transmittance(map.layers.lerp(place) - own)
+        see_one(self, map, fragment)
+    }
+
+    fn see(&self, map: &Map, list: List<'_>, seen: &mut [f64]) {
+        let mut own = [0.0; CHUNK];
+        if self.self_correct {
+            absorbances(list.alpha, self.s_max, &mut own);
+        }
+        for ((seen, &depth), own) in seen.iter_mut().zip(list.depth).zip(own) {
+            let place = self.place(map, depth);
+            *seen = map.layers.lerp(place) - place.1 * own;
+        }
+        transmittances(seen);
     }
 
     fn at(&self, map: &Map, depth: f32) -> f64 {

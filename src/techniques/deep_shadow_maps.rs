@@ -1,7 +1,7 @@
 //! Deep shadow maps (Lokovic & Veach 2000): the exact transmittance curve, compressed to a polyline.
 
 use crate::continuum::oracle::{Composite, Oracle, TwoPass};
-use crate::continuum::polyline::{Label, Vertex, evaluate, triangle};
+use crate::continuum::polyline::{Label, Vertex, count_in_front, evaluate, evaluate_behind, triangle};
 use crate::error::Result;
 use crate::fragments::{Fragment, List};
 use crate::params::{Kind, ParamSpec, Params, Value, View};
@@ -230,6 +230,17 @@ impl Oracle for DeepShadowMaps {
 
     fn in_front_of(&self, map: &Map, fragment: &Fragment) -> f64 {
         evaluate(&map.polyline, Label::front(fragment))
+    }
+
+    /// The fragments come sorted, so that what is in front of one is in front of the next too.
+    fn see(&self, map: &Map, list: List<'_>, seen: &mut [f64]) {
+        let first = list.iter().next();
+        let mut in_front = first.map_or(0, |f| count_in_front(&map.polyline, Label::front(&f)));
+        for (seen, fragment) in seen.iter_mut().zip(list.iter()) {
+            let label = Label::front(&fragment);
+            in_front += map.polyline[in_front..].iter().take_while(|v| v.label <= label).count();
+            *seen = evaluate_behind(&map.polyline, in_front, label);
+        }
     }
 
     fn at(&self, map: &Map, depth: f32) -> f64 {

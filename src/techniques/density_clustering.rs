@@ -1,12 +1,15 @@
 //! Density clustering (Mertens et al. 2004): k-means along the ray; each cluster absorbs evenly over its depths.
 
-use crate::continuum::absorbance::{S_MAX, absorbance, transmittance};
-use crate::continuum::oracle::{Composite, Oracle, TwoPass};
+use crate::continuum::absorbance::{S_MAX, absorbances, transmittance, transmittances};
+use crate::continuum::oracle::{CHUNK, Composite, Oracle, TwoPass, see_one};
+use crate::continuum::search::count_leading;
 use crate::error::Result;
-use crate::fragments::Fragment;
+use crate::fragments::{Fragment, List};
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties};
 use crate::techniques::ANY_ORDER;
+use multiversion::multiversion;
+use std::hint::select_unpredictable;
 
 /// The registry entry.
 pub static INFO: Info = Info {
@@ -71,15 +74,40 @@ impl Cluster {
         self.sdd += s * d * d;
     }
 
-    /// What hides a point: a uniform density of the same mean and variance.
-    fn in_front_of(&self, d: f64) -> f64 {
-        let behind = d - self.center;
+    /// A uniform density of the same mean and variance.
+    fn slice(&self) -> Slice {
         let deviation =
             if self.s > 0.0 { (self.sdd / self.s - self.center * self.center).max(0.0).sqrt() } else { 0.0 };
-        if deviation < SLACK {
-            return if behind > SLACK { self.s } else { 0.0 };
-        }
-        self.s * (behind / (2.0 * 3.0_f64.sqrt() * deviation) + 0.5).clamp(0.0, 1.0)
+        let width = (deviation >= SLACK).then_some(2.0 * 3.0_f64.sqrt() * deviation);
+        Slice { center: self.center, s: self.s, width }
+    }
+}
+
+/// Absorbance spread evenly, or in one place.
+#[derive(Debug, Clone, Copy)]
+struct Slice {
+    center: f64,
+    s: f64,
+    width: Option<f64>,
+}
+
+/// Adds what of a slice hides each point.
+#[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
+fn add_in_front(slice: Slice, positions: &[f64], taus: &mut [f64]) {
+    let Slice { center, s, width } = slice;
+    let points = taus.iter_mut().zip(positions);
+    match width {
+        Some(width) => points.for_each(|(tau, d)| *tau += s * ((d - center) / width + 0.5).clamp(0.0, 1.0)),
+        None => points.for_each(|(tau, d)| *tau += if d - center > SLACK { s } else { 0.0 }),
+    }
+}
+
+/// Depths behind `near` in units of `extent`. Behind a single depth all is far.
+#[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
+fn positions(near: f64, extent: f64, depth: &[f32], positions: &mut [f64]) {
+    for (position, &depth) in positions.iter_mut().zip(depth) {
+        let behind = f64::from(depth) - near;
+        *position = if behind == 0.0 { 0.0 } else { behind / extent };
     }
 }
 
@@ -89,43 +117,43 @@ struct Map {
     near: f64,
     extent: f64,
     clusters: Vec<Cluster>,
+    /// Where each fragment is, and what it absorbs.
+    positions: Vec<f64>,
+    absorbances: Vec<f64>,
+    /// What hides what is behind.
+    slices: Vec<Slice>,
 }
 
 impl Map {
-    /// Depth behind the nearest fragment, in units of the pixel's depth range. Behind a single depth all is far.
-    fn position(&self, depth: f32) -> f64 {
-        let behind = f64::from(depth) - self.near;
-        if behind == 0.0 { 0.0 } else { behind / self.extent }
-    }
-
     /// The cluster with the nearest centre, the nearer to the camera of two. Centres stay in order: each moves
     /// within the interval that is nearest to it.
     fn nearest(&self, d: f64) -> usize {
-        let behind = self.clusters.partition_point(|c| c.center < d);
+        let behind = count_leading(&self.clusters, |c| c.center < d);
         let distance = |i: usize| (self.clusters[i].center - d).abs();
-        match behind {
-            0 => 0,
-            i if i == self.clusters.len() || distance(i - 1) <= distance(i) => i - 1,
-            i => i,
-        }
+        let [before, after] = [behind.saturating_sub(1), behind.min(self.clusters.len() - 1)];
+        select_unpredictable(distance(before) <= distance(after), before, after)
     }
 
-    fn absorbance_in_front_of(&self, d: f64) -> f64 {
-        self.clusters.iter().map(|c| c.in_front_of(d)).sum()
+    /// τ at each depth, of which there are at most [`CHUNK`].
+    fn taus(&self, depth: &[f32], taus: &mut [f64]) {
+        let mut d = [0.0; CHUNK];
+        positions(self.near, self.extent, depth, &mut d);
+        taus.fill(0.0);
+        self.slices.iter().for_each(|slice| add_in_front(*slice, &d, taus));
     }
 }
 
 impl DensityClustering {
     /// One pass: every fragment to the nearest centre, then every centre to the mean of what it got. Says whether
     /// a centre moved.
-    fn iterate(&self, pixel: &Pixel<'_>, map: &mut Map) -> bool {
+    fn iterate(map: &mut Map) -> bool {
         for cluster in &mut map.clusters {
             *cluster = Cluster { center: cluster.center, ..Cluster::default() };
         }
-        for (&depth, &alpha) in pixel.list.depth.iter().zip(pixel.list.alpha) {
-            let d = map.position(depth);
+        for i in 0..map.positions.len() {
+            let (s, d) = (map.absorbances[i], map.positions[i]);
             let own = map.nearest(d);
-            map.clusters[own].add(absorbance(alpha, self.s_max), d);
+            map.clusters[own].add(s, d);
         }
         let mut moved = false;
         for cluster in map.clusters.iter_mut().filter(|c| c.s > 0.0) {
@@ -144,27 +172,39 @@ impl Oracle for DensityClustering {
     fn build(&self, pixel: &Pixel<'_>, map: &mut Map) {
         let (near, far) = pixel.list.depth_bounds().unwrap_or_default();
         (map.near, map.extent) = (near.into(), f64::from(far) - f64::from(near));
+        map.positions.resize(pixel.list.len(), 0.0);
+        positions(map.near, map.extent, pixel.list.depth, &mut map.positions);
+        map.absorbances.resize(pixel.list.len(), 0.0);
+        absorbances(pixel.list.alpha, self.s_max, &mut map.absorbances);
         let center = |j: usize| (j as f64 + 0.5) / self.clusters as f64;
         map.clusters.clear();
         map.clusters.extend((0..self.clusters).map(|j| Cluster { center: center(j), ..Cluster::default() }));
         for _ in 0..self.iterations {
-            if !self.iterate(pixel, map) {
+            if !Self::iterate(map) {
                 break;
             }
         }
-        map.clusters.retain(|c| c.s > 0.0);
+        map.slices.clear();
+        map.slices.extend(map.clusters.iter().filter(|c| c.s > 0.0).map(Cluster::slice));
     }
 
     fn in_front_of(&self, map: &Map, fragment: &Fragment) -> f64 {
-        self.at(map, fragment.depth)
+        see_one(self, map, fragment)
+    }
+
+    fn see(&self, map: &Map, list: List<'_>, seen: &mut [f64]) {
+        map.taus(list.depth, seen);
+        transmittances(seen);
     }
 
     fn at(&self, map: &Map, depth: f32) -> f64 {
-        transmittance(map.absorbance_in_front_of(map.position(depth)))
+        let mut tau = [0.0];
+        map.taus(&[depth], &mut tau);
+        transmittance(tau[0])
     }
 
     fn total(&self, map: &Map) -> f64 {
-        transmittance(map.clusters.iter().map(|c| c.s).sum())
+        transmittance(map.slices.iter().map(|c| c.s).sum())
     }
 
     #[expect(clippy::cast_precision_loss, reason = "a cost estimate")]
@@ -256,7 +296,7 @@ mod tests {
     #[test]
     fn emission_alone_forms_no_cluster() {
         let glow = Fragment { alpha: 0.0, ..layer(3.0, 1.0) };
-        assert!(map(4, 3, &[glow, Fragment { depth: 5.0, ..glow }]).clusters.is_empty());
+        assert!(map(4, 3, &[glow, Fragment { depth: 5.0, ..glow }]).slices.is_empty());
     }
 
     #[test]

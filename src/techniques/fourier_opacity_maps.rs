@@ -1,14 +1,15 @@
 //! Fourier opacity maps (Jansen & Bavoil 2010): absorbance along the ray as a Fourier series.
 
-use crate::continuum::absorbance::{S_MAX, SELF_CORRECT, absorbance, transmittance};
-use crate::continuum::oracle::{Composite, Oracle, TwoPass};
+use crate::continuum::absorbance::{S_MAX, SELF_CORRECT, absorbances, transmittance, transmittances};
+use crate::continuum::oracle::{CHUNK, Composite, Oracle, TwoPass, chunks, see_one};
 use crate::continuum::range::{DepthRange, Interval};
-use crate::continuum::series::{at_own_step, half_turns, harmonics};
+use crate::continuum::series::{LANES, Lanes, Rotor, blocks, half_turns, harmonics, project, sum};
 use crate::error::Result;
-use crate::fragments::Fragment;
+use crate::fragments::{Fragment, List};
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties};
 use crate::techniques::ANY_ORDER;
+use multiversion::multiversion;
 use std::f64::consts::PI;
 
 /// The registry entry.
@@ -76,7 +77,18 @@ struct Map {
     /// Σ s.
     total: f64,
     /// Σ s cos(2πk d) and Σ s sin(2πk d), half the paper's `a_k` and `b_k`.
-    harmonics: Vec<(f64, f64)>,
+    harmonics: Vec<Harmonic>,
+    /// The sums under construction, lane by lane.
+    sums: Vec<(Lanes, Lanes)>,
+}
+
+/// A term of the series.
+#[derive(Debug, Clone, Copy)]
+struct Harmonic {
+    a: f64,
+    b: f64,
+    /// `σ_k/(πk)`, what integration makes of it.
+    weight: f64,
 }
 
 impl FourierOpacityMaps {
@@ -93,9 +105,15 @@ impl FourierOpacityMaps {
         }
     }
 
-    /// Where in the period a depth lies.
-    fn phase(&self, map: &Map, depth: f32) -> f64 {
-        self.margin + (1.0 - 2.0 * self.margin) * map.interval.position(depth)
+    /// Where in the period a position lies.
+    fn phase(&self, position: f64) -> f64 {
+        self.margin + (1.0 - 2.0 * self.margin) * position
+    }
+
+    /// The phase of each depth.
+    fn phases(&self, map: &Map, depth: &[f32], phases: &mut [f64]) {
+        map.interval.positions(depth, phases);
+        phases.iter_mut().for_each(|phase| *phase = self.phase(*phase));
     }
 
     /// `σ_k` for k = 1..=K.
@@ -106,13 +124,34 @@ impl FourierOpacityMaps {
         let lanczos = self.lanczos;
         half_turns().take(self.frequencies).map(move |pi_k| if lanczos { sinc(pi_k) } else { 1.0 })
     }
+}
 
+impl Map {
     /// τ(d): the series integrated up to d; rings, also below zero.
-    fn tau(&self, map: &Map, d: f64) -> f64 {
-        let weights = self.sigma().zip(half_turns()).map(|(sigma, pi_k)| sigma / pi_k);
-        let terms = map.harmonics.iter().zip(harmonics(2.0 * PI * d)).zip(weights);
-        let ripple = terms.map(|((&(a, b), (cos, sin)), weight)| weight * (a * sin + b * (1.0 - cos)));
-        map.total * d + ripple.sum::<f64>()
+    fn tau(&self, d: f64) -> f64 {
+        let terms = self.harmonics.iter().zip(harmonics(2.0 * PI * d));
+        let ripple = terms.map(|(h, (cos, sin))| h.weight * (h.a * sin + h.b * (1.0 - cos)));
+        self.total * d + ripple.sum::<f64>()
+    }
+}
+
+/// τ at each phase, freed of a fragment's own share: of `s` what the series of a step has in front of it.
+#[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
+fn taus_of_others(total: f64, harmonics: &[Harmonic], phases: &[Lanes], s: &[Lanes], taus: &mut [Lanes]) {
+    for ((phases, s), taus) in phases.iter().zip(s).zip(taus) {
+        let mut rotor = Rotor::new(phases);
+        let (mut ripple, mut own) = ([0.0; LANES], *phases);
+        for h in harmonics {
+            for lane in 0..LANES {
+                let (cos, sin) = (rotor.cos[lane], rotor.sin[lane]);
+                ripple[lane] += h.weight * (h.a * sin + h.b * (1.0 - cos));
+                own[lane] += h.weight * sin;
+            }
+            rotor.turn();
+        }
+        for lane in 0..LANES {
+            taus[lane] = (total * phases[lane] + ripple[lane]) - s[lane] * own[lane];
+        }
     }
 }
 
@@ -122,30 +161,43 @@ impl Oracle for FourierOpacityMaps {
     fn build(&self, pixel: &Pixel<'_>, map: &mut Map) {
         map.interval = self.range.interval(pixel.list);
         map.total = 0.0;
-        map.harmonics.clear();
-        map.harmonics.resize(self.frequencies, (0.0, 0.0));
-        for (&depth, &alpha) in pixel.list.depth.iter().zip(pixel.list.alpha) {
-            let (s, d) = (absorbance(alpha, self.s_max), self.phase(map, depth));
-            map.total += s;
-            for ((a, b), (cos, sin)) in map.harmonics.iter_mut().zip(harmonics(2.0 * PI * d)) {
-                *a += s * cos;
-                *b += s * sin;
-            }
+        map.sums.clear();
+        map.sums.resize(self.frequencies, ([0.0; LANES], [0.0; LANES]));
+        for part in chunks(pixel.list) {
+            let (mut phases, mut s) = ([0.0; CHUNK], [0.0; CHUNK]);
+            self.phases(map, part.depth, &mut phases);
+            absorbances(part.alpha, self.s_max, &mut s);
+            map.total += s.iter().sum::<f64>();
+            let used = part.len().next_multiple_of(LANES);
+            project(blocks(&phases[..used]), blocks(&s[..used]), &mut map.sums);
         }
+        let terms = map.sums.iter().zip(self.sigma().zip(half_turns()));
+        map.harmonics.clear();
+        map.harmonics.extend(terms.map(|((a, b), (sigma, pi_k))| Harmonic {
+            a: sum(a),
+            b: sum(b),
+            weight: sigma / pi_k,
+        }));
     }
 
     fn in_front_of(&self, map: &Map, fragment: &Fragment) -> f64 {
-        let d = self.phase(map, fragment.depth);
-        let own = if self.self_correct {
-            absorbance(fragment.alpha, self.s_max) * at_own_step(d, self.sigma())
-        } else {
-            0.0
-        };
-        transmittance(self.tau(map, d) - own)
+        see_one(self, map, fragment)
+    }
+
+    fn see(&self, map: &Map, list: List<'_>, seen: &mut [f64]) {
+        let (mut phases, mut s, mut taus) = ([0.0; CHUNK], [0.0; CHUNK], [[0.0; LANES]; CHUNK / LANES]);
+        self.phases(map, list.depth, &mut phases);
+        if self.self_correct {
+            absorbances(list.alpha, self.s_max, &mut s);
+        }
+        let used = list.len().next_multiple_of(LANES);
+        taus_of_others(map.total, &map.harmonics, blocks(&phases[..used]), blocks(&s), &mut taus);
+        seen.copy_from_slice(&taus.as_flattened()[..list.len()]);
+        transmittances(seen);
     }
 
     fn at(&self, map: &Map, depth: f32) -> f64 {
-        transmittance(self.tau(map, self.phase(map, depth)))
+        transmittance(map.tau(self.phase(map.interval.position(depth))))
     }
 
     fn total(&self, map: &Map) -> f64 {
@@ -223,7 +275,7 @@ mod tests {
                 sigma * (2.0 * PI * k * d).sin() / (PI * k)
             });
             let own = LN_2 * (d + terms.sum::<f64>());
-            assert!((oracle.tau(&map, d) - own).abs() < 1e-6, "{own}");
+            assert!((map.tau(d) - own).abs() < 1e-6, "{own}");
             assert!((oracle.in_front_of(&map, &lone) - 1.0).abs() < 1e-14);
         }
     }
@@ -236,8 +288,8 @@ mod tests {
             for frequencies in [1, 3, 40] {
                 let oracle = oracle(frequencies, &[]);
                 let map = map(&oracle, &pixel);
-                assert!(oracle.tau(&map, 0.0).abs() < 1e-12);
-                assert!((oracle.tau(&map, 1.0) - sum).abs() < 1e-10);
+                assert!(map.tau(0.0).abs() < 1e-12);
+                assert!((map.tau(1.0) - sum).abs() < 1e-10);
                 assert!((oracle.total(&map) - (-sum).exp()).abs() < 1e-14);
             }
         }
@@ -279,7 +331,7 @@ mod tests {
             let rings = |pixel: &&Vec<Fragment>| {
                 let map = map(&oracle, pixel);
                 assert!((0..80_u8).all(|i| oracle.at(&map, 1.0 + f32::from(i) / 10.0) <= 1.0));
-                (1..200).any(|i| oracle.tau(&map, f64::from(i) / 200.0) < 0.0)
+                (1..200).any(|i| map.tau(f64::from(i) / 200.0) < 0.0)
             };
             pixels.iter().filter(rings).count()
         });

@@ -2,8 +2,9 @@
 //! depth bins, `over` between them.
 
 use crate::continuum::absorbance::{S_MAX, absorbance};
-use crate::continuum::bins::{BATCH, BinFunction, Bins, REACH, SUPPORT};
+use crate::continuum::bins::{BATCH, BinFunction, Bins, REACH, SUPPORT, share_out};
 use crate::continuum::normalize::{Core, sums_of_all};
+use crate::continuum::oracle::{CHUNK, chunks};
 use crate::continuum::range::DepthRange;
 use crate::continuum::sums::BlendSums;
 use crate::error::Result;
@@ -15,6 +16,7 @@ use crate::technique::{
 use crate::techniques::ANY_ORDER;
 use crate::weight::{self, Weighting};
 use glam::DVec3;
+use multiversion::multiversion;
 
 /// The registry entry.
 pub static INFO: Info = Info {
@@ -197,6 +199,50 @@ impl Slicing {
     }
 }
 
+/// The bin of each depth, and the distance behind its centre in bin widths. Positions outside the range belong to
+/// the end bins.
+#[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
+#[expect(
+    clippy::cast_precision_loss,
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "0 <= position <= 512"
+)]
+fn locate_all(
+    bins: usize,
+    slicing: Slicing,
+    depth: &[f32],
+    owns: &mut [usize; CHUNK],
+    xs: &mut [f64; CHUNK],
+) {
+    for ((own, x), &depth) in owns.iter_mut().zip(xs).zip(depth) {
+        let position = (slicing.shifted(depth) / slicing.width).clamp(0.0, bins as f64);
+        *own = (position as usize).min(bins - 1);
+        *x = position - *own as f64 - 0.5;
+    }
+}
+
+/// Blends fragments into their bins with their alphas faded (FEE21 §3.2).
+fn blend_faded(
+    bins: &mut Bins,
+    function: BinFunction,
+    part: List<'_>,
+    weights: &[f32],
+    own: &[usize; CHUNK],
+    xs: &[f64; CHUNK],
+) {
+    let mut shares = [[0.0; CHUNK]; SUPPORT];
+    share_out(function, &xs[..part.len()], &mut shares);
+    for (i, &weight) in weights.iter().enumerate() {
+        let (color, alpha) = (part.color[i], part.alpha[i]);
+        for (bin, shares) in bins.touch_reach(own[i]).iter_mut().zip(&shares) {
+            // a share of nothing changes nothing
+            let coverage = f64::from(alpha) * f64::from(shares[i]);
+            bin.add_share(shares[i] * weight, color, alpha, coverage, 1.0 - coverage);
+        }
+    }
+}
+
 impl LayeredWboit {
     /// Bins that a fragment is in or not, of unshaped depth.
     pub(super) fn naive(bins: usize, range: DepthRange, weighting: Weighting) -> Self {
@@ -218,11 +264,29 @@ impl LayeredWboit {
         let slicing = self.slicing(whole);
         self.weigh(list, slicing, shaped_depth, weights);
         bins.reset(self.bins);
-        for (i, &weight) in weights.iter().enumerate() {
-            let position = slicing.shifted(list.depth[i]) / slicing.width;
-            self.deposit(bins, position, weight, list.color[i], list.alpha[i]);
+        for (part, weights) in chunks(list).zip(weights.chunks(CHUNK)) {
+            self.blend_chunk(bins, slicing, part, weights);
         }
         bins.under_blend()
+    }
+
+    fn blend_chunk(&self, bins: &mut Bins, slicing: Slicing, part: List<'_>, weights: &[f32]) {
+        let (mut own, mut xs) = ([0; CHUNK], [0.0; CHUNK]);
+        locate_all(self.bins, slicing, part.depth, &mut own, &mut xs);
+        let places = own.iter().zip(&xs).zip(weights).zip(part.color.iter().zip(part.alpha));
+        match self.sharing {
+            Sharing::Naive => {
+                for (((&own, _), &weight), (&color, &alpha)) in places {
+                    bins.touch(own).add(weight, color, alpha);
+                }
+            }
+            Sharing::Coverage(function) => blend_faded(bins, function, part, weights, &own, &xs),
+            Sharing::Absorbance(function, s_max) => {
+                for (((&own, &x), &weight), (&color, &alpha)) in places {
+                    self.divide(bins, function.shares(x), s_max, own, weight, color, alpha);
+                }
+            }
+        }
     }
 
     fn slicing(&self, list: List<'_>) -> Slicing {
@@ -248,44 +312,27 @@ impl LayeredWboit {
         self.weighting.evaluate(depth, list.alpha, weights);
     }
 
-    /// Blends a fragment into its bins; `position` is its depth in bin widths.
+    /// Blends a fragment into its bins, each of which gets a share of its absorbance.
     #[expect(clippy::cast_possible_truncation, reason = "shares are blended in f32")]
-    fn deposit(&self, bins: &mut Bins, position: f64, weight: f32, color: [f32; 3], alpha: f32) {
-        let (own, x) = self.locate(position);
-        match self.sharing {
-            Sharing::Naive => bins.touch(own).add(weight, color, alpha),
-            Sharing::Coverage(function) => {
-                for (k, b) in self.reach(own, function.shares(x)) {
-                    let coverage = f64::from(alpha) * f64::from(b);
-                    bins.touch(k).add_share(b * weight, color, alpha, coverage, 1.0 - coverage);
-                }
-            }
-            Sharing::Absorbance(function, s_max) => {
-                let shares = function.shares(x);
-                let total: f64 = self.reach(own, shares).map(|(_, b)| f64::from(b)).sum();
-                let s = absorbance(alpha, s_max);
-                for (k, b) in self.reach(own, shares) {
-                    let beta = f64::from(b) / total;
-                    let absorbed = (-beta * s).exp_m1();
-                    let part = if alpha > 0.0 { -absorbed / f64::from(alpha) } else { beta };
-                    bins.touch(k).add_share(part as f32 * weight, color, alpha, -absorbed, 1.0 + absorbed);
-                }
-            }
+    #[expect(clippy::too_many_arguments, reason = "a fragment and where it goes")]
+    fn divide(
+        &self,
+        bins: &mut Bins,
+        shares: [f32; SUPPORT],
+        s_max: f64,
+        own: usize,
+        weight: f32,
+        color: [f32; 3],
+        alpha: f32,
+    ) {
+        let total: f64 = self.reach(own, shares).map(|(_, b)| f64::from(b)).sum();
+        let s = absorbance(alpha, s_max);
+        for (k, b) in self.reach(own, shares) {
+            let beta = f64::from(b) / total;
+            let absorbed = (-beta * s).exp_m1();
+            let part = if alpha > 0.0 { -absorbed / f64::from(alpha) } else { beta };
+            bins.touch(k).add_share(part as f32 * weight, color, alpha, -absorbed, 1.0 + absorbed);
         }
-    }
-
-    /// The bin of a position, and the distance behind its centre in bin widths. Positions outside the range
-    /// belong to the end bins.
-    #[expect(
-        clippy::cast_precision_loss,
-        clippy::cast_possible_truncation,
-        clippy::cast_sign_loss,
-        reason = "0 <= position <= 512"
-    )]
-    fn locate(&self, position: f64) -> (usize, f64) {
-        let position = position.clamp(0.0, self.bins as f64);
-        let own = (position as usize).min(self.bins - 1);
-        (own, position - own as f64 - 0.5)
     }
 
     /// The bins in reach of bin `own` that exist and get a share.

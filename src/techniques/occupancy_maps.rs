@@ -1,11 +1,11 @@
 //! Occupancy maps (Sintorn & Assarsson 2009): one bit per depth slice, and the absorbance of few slabs.
 
-use crate::continuum::absorbance::{S_MAX, absorbance, transmittance};
+use crate::continuum::absorbance::{S_MAX, absorbances, transmittance, transmittances};
 use crate::continuum::binned::BinnedAbsorbance;
-use crate::continuum::oracle::{Composite, Oracle, TwoPass};
+use crate::continuum::oracle::{CHUNK, Composite, Oracle, TwoPass, chunks, see_one};
 use crate::continuum::range::{DepthRange, Interval, cell};
 use crate::error::Result;
-use crate::fragments::Fragment;
+use crate::fragments::{Fragment, List};
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties};
 use crate::techniques::ANY_ORDER;
@@ -72,25 +72,76 @@ struct OccupancyMaps {
 #[derive(Debug, Default)]
 struct Map {
     interval: Interval,
-    /// The bits that are set, in order: neither time nor memory depends on their number.
-    mask: Vec<usize>,
+    mask: Mask,
     slabs: BinnedAbsorbance,
 }
 
-impl Map {
+/// A set of bits.
+#[derive(Debug, Default)]
+struct Mask {
+    /// Words of bits, each with the number of those set in the words before it, where they are few.
+    words: Vec<(u64, usize)>,
+    /// Where there are more, those that are set, in order: neither time nor memory depends on their number.
+    list: Vec<usize>,
+}
+
+impl Mask {
+    /// The most bits that are kept in words.
+    const IN_WORDS: usize = 4096;
+
+    /// None of so many bits.
+    fn clear(&mut self, bits: usize) {
+        self.list.clear();
+        self.words.clear();
+        if bits <= Self::IN_WORDS {
+            self.words.resize(bits / 64 + 1, (0, 0));
+        }
+    }
+
+    fn insert(&mut self, bit: usize) {
+        match self.words.get_mut(bit / 64) {
+            Some((word, _)) => *word |= 1 << (bit % 64),
+            None => self.list.push(bit),
+        }
+    }
+
+    /// Nothing is inserted any more.
+    fn end(&mut self) {
+        self.list.sort_unstable();
+        self.list.dedup();
+        let mut count = 0;
+        for (word, before) in &mut self.words {
+            *before = count;
+            count += word.count_ones() as usize;
+        }
+    }
+
     /// How many bits in front of this one are set.
     fn count_before(&self, bit: usize) -> usize {
-        self.mask.partition_point(|b| *b < bit)
+        match self.words.get(bit / 64) {
+            Some((word, before)) => before + (word & ((1 << (bit % 64)) - 1)).count_ones() as usize,
+            None => self.list.partition_point(|b| *b < bit),
+        }
     }
 }
 
 impl OccupancyMaps {
-    fn bit(&self, interval: &Interval, depth: f32) -> usize {
-        cell(interval.position(depth), self.bits).0
+    fn bit(&self, position: f64) -> usize {
+        cell(position, self.bits).0
     }
 
     fn slab_size(&self) -> usize {
         self.bits / self.slabs
+    }
+
+    /// A: the slabs in front of the bit's, and of its own slab the share of the bits in front of it.
+    #[expect(clippy::cast_precision_loss, reason = "a count of fragments")]
+    fn tau(&self, map: &Map, bit: usize) -> f64 {
+        let slab = bit / self.slab_size();
+        let first = slab * self.slab_size();
+        let [start, own, end] = [first, bit, first + self.slab_size()].map(|bit| map.mask.count_before(bit));
+        let share = if end > start { (own - start) as f64 / (end - start) as f64 } else { 0.0 };
+        map.slabs.lerp((slab, share))
     }
 }
 
@@ -99,26 +150,36 @@ impl Oracle for OccupancyMaps {
 
     fn build(&self, pixel: &Pixel<'_>, Map { interval, mask, slabs }: &mut Map) {
         *interval = self.range.interval(pixel.list);
-        mask.clear();
-        mask.extend(pixel.list.depth.iter().map(|&z| self.bit(interval, z)));
-        let deposits = mask.iter().zip(pixel.list.alpha);
-        slabs.fill(deposits.map(|(bit, &alpha)| (bit / self.slab_size(), absorbance(alpha, self.s_max))));
-        mask.sort_unstable();
-        mask.dedup();
+        mask.clear(self.bits);
+        slabs.clear(self.slabs);
+        let (mut positions, mut s) = ([0.0; CHUNK], [0.0; CHUNK]);
+        for part in chunks(pixel.list) {
+            interval.positions(part.depth, &mut positions);
+            absorbances(part.alpha, self.s_max, &mut s);
+            for (&position, &s) in positions.iter().zip(&s).take(part.len()) {
+                let bit = self.bit(position);
+                mask.insert(bit);
+                slabs.add(bit / self.slab_size(), s);
+            }
+        }
+        mask.end();
+        slabs.end();
     }
 
     fn in_front_of(&self, map: &Map, fragment: &Fragment) -> f64 {
-        self.at(map, fragment.depth)
+        see_one(self, map, fragment)
     }
 
-    #[expect(clippy::cast_precision_loss, reason = "a count of fragments")]
+    fn see(&self, map: &Map, list: List<'_>, seen: &mut [f64]) {
+        map.interval.positions(list.depth, seen);
+        for seen in &mut *seen {
+            *seen = self.tau(map, self.bit(*seen));
+        }
+        transmittances(seen);
+    }
+
     fn at(&self, map: &Map, depth: f32) -> f64 {
-        let bit = self.bit(&map.interval, depth);
-        let slab = bit / self.slab_size();
-        let first = slab * self.slab_size();
-        let [start, own, end] = [first, bit, first + self.slab_size()].map(|bit| map.count_before(bit));
-        let share = if end > start { (own - start) as f64 / (end - start) as f64 } else { 0.0 };
-        transmittance(map.slabs.lerp((slab, share)))
+        transmittance(self.tau(map, self.bit(map.interval.position(depth))))
     }
 
     fn total(&self, map: &Map) -> f64 {
@@ -207,7 +268,7 @@ mod tests {
     fn a_collision_loses_a_bit_but_no_absorbance() {
         for pixel in clear_pixels(20) {
             let (oracle, map) = map(2, 1, &pixel);
-            assert!(map.mask.len() <= 2);
+            assert!(map.mask.count_before(2) <= 2);
             assert!((oracle.total(&map) - over(&pixel).1).abs() < 1e-14);
         }
         // both in the first bit: neither hides the other, together they hide half of what is there

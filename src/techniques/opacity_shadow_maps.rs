@@ -1,11 +1,11 @@
 //! Opacity shadow maps (Kim & Neumann 2001): absorbance summed in depth bins.
 
-use crate::continuum::absorbance::{S_MAX, SELF_CORRECT, absorbance, transmittance};
+use crate::continuum::absorbance::{S_MAX, SELF_CORRECT, absorbances, transmittance, transmittances};
 use crate::continuum::binned::BinnedAbsorbance;
-use crate::continuum::oracle::{Composite, Oracle, TwoPass};
+use crate::continuum::oracle::{CHUNK, Composite, Oracle, TwoPass, chunks, see_one};
 use crate::continuum::range::{DepthRange, Interval, cell};
 use crate::error::Result;
-use crate::fragments::Fragment;
+use crate::fragments::{Fragment, List};
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties};
 use crate::techniques::ANY_ORDER;
@@ -93,9 +93,9 @@ impl OpacityShadowMaps {
         }
     }
 
-    /// A depth's bin, and how much of the bin is in front of it.
-    fn place(&self, interval: &Interval, depth: f32) -> (usize, f64) {
-        let (bin, fraction) = cell(interval.position(depth), self.bins);
+    /// A position's bin, and how much of the bin is in front of it.
+    fn place(&self, position: f64) -> (usize, f64) {
+        let (bin, fraction) = cell(position, self.bins);
         (bin, if self.interpolation == Interpolation::Floor { 0.0 } else { fraction })
     }
 }
@@ -112,21 +112,37 @@ impl Oracle for OpacityShadowMaps {
 
     fn build(&self, pixel: &Pixel<'_>, Map { interval, bins }: &mut Map) {
         *interval = self.range.interval(pixel.list);
-        let deposit = |f: Fragment| (self.place(interval, f.depth).0, absorbance(f.alpha, self.s_max));
-        bins.fill(pixel.list.iter().map(deposit));
+        bins.clear(self.bins);
+        let (mut positions, mut s) = ([0.0; CHUNK], [0.0; CHUNK]);
+        for part in chunks(pixel.list) {
+            interval.positions(part.depth, &mut positions);
+            absorbances(part.alpha, self.s_max, &mut s);
+            for (&position, &s) in positions.iter().zip(&s).take(part.len()) {
+                bins.add(self.place(position).0, s);
+            }
+        }
+        bins.end();
     }
 
     fn in_front_of(&self, map: &Map, fragment: &Fragment) -> f64 {
-        let place = self.place(&map.interval, fragment.depth);
-        let own = match self.interpolation {
-            Interpolation::SelfCorrected => place.1 * absorbance(fragment.alpha, self.s_max),
-            _ => 0.0,
-        };
-        transmittance(map.bins.lerp(place) - own)
+        see_one(self, map, fragment)
+    }
+
+    fn see(&self, map: &Map, list: List<'_>, seen: &mut [f64]) {
+        let mut own = [0.0; CHUNK];
+        map.interval.positions(list.depth, seen);
+        if self.interpolation == Interpolation::SelfCorrected {
+            absorbances(list.alpha, self.s_max, &mut own);
+        }
+        for (seen, own) in seen.iter_mut().zip(own) {
+            let place = self.place(*seen);
+            *seen = map.bins.lerp(place) - place.1 * own;
+        }
+        transmittances(seen);
     }
 
     fn at(&self, map: &Map, depth: f32) -> f64 {
-        transmittance(map.bins.lerp(self.place(&map.interval, depth)))
+        transmittance(map.bins.lerp(self.place(map.interval.position(depth))))
     }
 
     fn total(&self, map: &Map) -> f64 {

@@ -1,15 +1,16 @@
 //! Transmittance function maps (Delalandre et al. 2011) and extinction transmittance maps (Gautron et al. 2011):
 //! a cosine series of transmittance, or of extinction, which adds up in any order.
 
-use crate::continuum::absorbance::{S_MAX, SELF_CORRECT, absorbance, transmittance};
-use crate::continuum::oracle::{Composite, Oracle, TwoPass};
+use crate::continuum::absorbance::{S_MAX, SELF_CORRECT, absorbances, transmittance, transmittances};
+use crate::continuum::oracle::{CHUNK, Composite, Oracle, TwoPass, chunks, see_one};
 use crate::continuum::range::{DepthRange, Interval};
-use crate::continuum::series::{at_own_step, half_turns, harmonics};
+use crate::continuum::series::{LANES, Lanes, Rotor, blocks, half_turns, harmonics, project, sum};
 use crate::error::Result;
-use crate::fragments::Fragment;
+use crate::fragments::{Fragment, List};
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties};
 use crate::techniques::ANY_ORDER;
+use multiversion::multiversion;
 use std::f64::consts::PI;
 
 /// The registry entry.
@@ -69,13 +70,28 @@ struct Map {
     mean: f64,
     /// `c_k / 2` for k = 1..=K.
     cosines: Vec<f64>,
+    /// The sums under construction, lane by lane.
+    sums: Vec<(Lanes, Lanes)>,
 }
 
 impl Map {
     fn clear(&mut self, interval: Interval, mean: f64, frequencies: usize) {
         (self.interval, self.mean) = (interval, mean);
-        self.cosines.clear();
-        self.cosines.resize(frequencies, 0.0);
+        self.sums.clear();
+        self.sums.resize(frequencies, ([0.0; LANES], [0.0; LANES]));
+    }
+
+    /// Half a turn from end to end: the even extension of the range has a period of twice its length.
+    fn phases(&self, depth: &[f32], phases: &mut [f64]) {
+        self.interval.positions(depth, phases);
+        phases.iter_mut().for_each(|phase| *phase *= 0.5);
+    }
+
+    /// Adds `s cos(πk d)` and `s sin(πk d)` of each fragment to the sums; lanes without one have s = 0.
+    fn add(&mut self, depth: &[f32], s: &[f64; CHUNK]) {
+        let mut phases = [0.0; CHUNK];
+        self.phases(depth, &mut phases);
+        project(blocks(&phases[..depth.len().next_multiple_of(LANES)]), blocks(s), &mut self.sums);
     }
 
     /// `c_0 + Σ c_k cos(πk d)`.
@@ -88,6 +104,47 @@ impl Map {
     fn integral(&self, d: f64) -> f64 {
         let terms = self.cosines.iter().zip(harmonics(PI * d)).zip(half_turns());
         self.mean * d + 2.0 * terms.map(|((c, (_, sin)), pi_k)| c * sin / pi_k).sum::<f64>()
+    }
+}
+
+/// τ at each phase, freed of a fragment's own share: of `s` what the series of a step has in front of it, whose
+/// terms are `sin(2πk d)/(πk)`.
+#[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
+fn taus_of_others(mean: f64, cosines: &[f64], phases: &[Lanes], s: &[Lanes], taus: &mut [Lanes]) {
+    for ((phases, s), taus) in phases.iter().zip(s).zip(taus) {
+        let mut rotor = Rotor::new(phases);
+        let (mut ripple, mut own) = ([0.0; LANES], [0.0; LANES]);
+        for (&c, pi_k) in cosines.iter().zip(half_turns()) {
+            let weight = 2.0 / pi_k;
+            let integral = weight * c;
+            for lane in 0..LANES {
+                ripple[lane] += integral * rotor.sin[lane];
+                own[lane] += weight * rotor.sin[lane] * rotor.cos[lane];
+            }
+            rotor.turn();
+        }
+        for lane in 0..LANES {
+            let d = 2.0 * phases[lane];
+            taus[lane] = (mean * d + ripple[lane]) - s[lane] * (d + own[lane]);
+        }
+    }
+}
+
+/// The series at each phase, within [0, 1].
+#[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
+fn series_values(mean: f64, cosines: &[f64], phases: &[Lanes], values: &mut [Lanes]) {
+    for (phases, values) in phases.iter().zip(values) {
+        let mut rotor = Rotor::new(phases);
+        let mut terms = [0.0; LANES];
+        for c in cosines {
+            for (term, cos) in terms.iter_mut().zip(&rotor.cos) {
+                *term += c * cos;
+            }
+            rotor.turn();
+        }
+        for lane in 0..LANES {
+            values[lane] = (mean + 2.0 * terms[lane]).clamp(0.0, 1.0);
+        }
     }
 }
 
@@ -123,22 +180,30 @@ impl Oracle for Extinction {
 
     fn build(&self, pixel: &Pixel<'_>, map: &mut Map) {
         map.clear(self.range.interval(pixel.list), 0.0, self.frequencies);
-        for (&depth, &alpha) in pixel.list.depth.iter().zip(pixel.list.alpha) {
-            let (s, d) = (absorbance(alpha, self.s_max), map.interval.position(depth));
-            map.mean += s;
-            map.cosines.iter_mut().zip(harmonics(PI * d)).for_each(|(c, (cos, _))| *c += s * cos);
+        for part in chunks(pixel.list) {
+            let mut s = [0.0; CHUNK];
+            absorbances(part.alpha, self.s_max, &mut s);
+            map.mean += s.iter().sum::<f64>();
+            map.add(part.depth, &s);
         }
+        map.cosines.clear();
+        map.cosines.extend(map.sums.iter().map(|(cosines, _)| sum(cosines)));
     }
 
     fn in_front_of(&self, map: &Map, fragment: &Fragment) -> f64 {
-        let d = map.interval.position(fragment.depth);
-        let own = if self.self_correct {
-            absorbance(fragment.alpha, self.s_max)
-                * at_own_step(d, std::iter::repeat_n(1.0, self.frequencies))
-        } else {
-            0.0
-        };
-        transmittance(map.integral(d) - own)
+        see_one(self, map, fragment)
+    }
+
+    fn see(&self, map: &Map, list: List<'_>, seen: &mut [f64]) {
+        let (mut phases, mut s, mut taus) = ([0.0; CHUNK], [0.0; CHUNK], [[0.0; LANES]; CHUNK / LANES]);
+        map.phases(list.depth, &mut phases);
+        if self.self_correct {
+            absorbances(list.alpha, self.s_max, &mut s);
+        }
+        let used = list.len().next_multiple_of(LANES);
+        taus_of_others(map.mean, &map.cosines, blocks(&phases[..used]), blocks(&s), &mut taus);
+        seen.copy_from_slice(&taus.as_flattened()[..list.len()]);
+        transmittances(seen);
     }
 
     fn at(&self, map: &Map, depth: f32) -> f64 {
@@ -182,18 +247,33 @@ impl Oracle for Curve {
     fn build(&self, pixel: &Pixel<'_>, map: &mut Map) {
         map.clear(self.range.interval(pixel.list), 1.0, self.frequencies);
         let mut reaches = 1.0;
-        for (&depth, &alpha) in pixel.sorted.depth.iter().zip(pixel.sorted.alpha) {
-            let (taken, d) = (reaches * f64::from(alpha), map.interval.position(depth));
-            reaches *= 1.0 - f64::from(alpha);
-            map.mean -= taken * (1.0 - d);
-            for ((c, (_, sin)), pi_k) in map.cosines.iter_mut().zip(harmonics(PI * d)).zip(half_turns()) {
-                *c += taken * sin / pi_k;
+        for part in chunks(pixel.sorted) {
+            let mut taken = [0.0; CHUNK];
+            for ((taken, &depth), &alpha) in taken.iter_mut().zip(part.depth).zip(part.alpha) {
+                *taken = reaches * f64::from(alpha);
+                reaches *= 1.0 - f64::from(alpha);
+                map.mean -= *taken * (1.0 - map.interval.position(depth));
             }
+            map.add(part.depth, &taken);
         }
+        map.cosines.clear();
+        map.cosines.extend(map.sums.iter().zip(half_turns()).map(|((_, sines), pi_k)| sum(sines) / pi_k));
     }
 
     fn in_front_of(&self, map: &Map, fragment: &Fragment) -> f64 {
-        self.at(map, fragment.depth)
+        see_one(self, map, fragment)
+    }
+
+    fn see(&self, map: &Map, list: List<'_>, seen: &mut [f64]) {
+        let (mut phases, mut values) = ([0.0; CHUNK], [[0.0; LANES]; CHUNK / LANES]);
+        map.phases(list.depth, &mut phases);
+        series_values(
+            map.mean,
+            &map.cosines,
+            blocks(&phases[..list.len().next_multiple_of(LANES)]),
+            &mut values,
+        );
+        seen.copy_from_slice(&values.as_flattened()[..list.len()]);
     }
 
     fn at(&self, map: &Map, depth: f32) -> f64 {

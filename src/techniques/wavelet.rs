@@ -1,13 +1,17 @@
 //! Wavelet transparency (Aizenshtein, Smal & `McGuire` 2022): absorbance along the ray in the Haar basis.
 
-use crate::continuum::absorbance::{S_MAX, SELF_CORRECT, absorbance, transmittance};
-use crate::continuum::oracle::{Composite, Oracle, TwoPass};
+use crate::continuum::absorbance::{S_MAX, SELF_CORRECT, absorbances, transmittance, transmittances};
+use crate::continuum::oracle::{CHUNK, Composite, Oracle, TwoPass, chunks, see_one};
 use crate::continuum::range::{DepthRange, Interval, cell};
 use crate::error::Result;
-use crate::fragments::Fragment;
+use crate::fragments::{Fragment, List};
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties};
 use crate::techniques::ANY_ORDER;
+use std::f64::consts::SQRT_2;
+
+/// The most levels that a basis has: the largest rank and 1.
+const MAX_LEVELS: usize = 11;
 
 /// The registry entry.
 pub static INFO: Info = Info {
@@ -64,27 +68,42 @@ struct Map {
     interval: Interval,
     /// The scale at 0, node k of level p at 2^p + k.
     coefficients: Vec<f64>,
+    /// What they say of each leaf.
+    leaves: Vec<f64>,
 }
 
 impl Map {
     /// `V_j`: the mean of the absorbance over leaf j.
     fn leaf(&self, leaf: usize) -> f64 {
-        let mut value = self.coefficients[0];
-        let mut node = self.coefficients.len() + leaf;
-        while node > 1 {
-            let parent = node / 2;
-            let half = height(parent) * self.coefficients[parent];
-            value += if node.is_multiple_of(2) { -half } else { half };
-            node = parent;
+        self.leaves[leaf]
+    }
+
+    /// All leaves, level by level: a node is so much less than its parent on the left, so much more on the right.
+    fn synthesize(&mut self) {
+        let Self { coefficients, leaves, .. } = self;
+        leaves.clear();
+        leaves.resize(coefficients.len(), coefficients[0]);
+        for (level, height) in HEIGHTS.iter().enumerate().take(coefficients.len().ilog2() as usize) {
+            // from the right, so that no parent is overwritten before it is read
+            for k in (0..1 << level).rev() {
+                let (parent, half) = (leaves[k], height * coefficients[(1 << level) + k]);
+                (leaves[2 * k], leaves[2 * k + 1]) = (parent - half, parent + half);
+            }
         }
-        value
     }
 }
 
-/// 2^(p/2) for a node of level p.
-fn height(node: usize) -> f64 {
-    (0.5 * f64::from(node.ilog2())).exp2()
-}
+/// 2^(p/2) for the nodes of level p.
+const HEIGHTS: [f64; MAX_LEVELS] = {
+    let mut heights = [SQRT_2; MAX_LEVELS];
+    heights[0] = 1.0;
+    let mut level = 2;
+    while level < MAX_LEVELS {
+        heights[level] = 2.0 * heights[level - 2];
+        level += 1;
+    }
+    heights
+};
 
 impl Wavelet {
     fn from_params(params: &Params, view: &View) -> Self {
@@ -105,9 +124,9 @@ impl Wavelet {
 
     /// y = d (N − 1): the leaf, and how far inside; d = 1 lies at the near edge of the last.
     #[expect(clippy::cast_precision_loss, reason = "at most 2^11 leaves")]
-    fn place(&self, map: &Map, depth: f32) -> (usize, f64) {
+    fn place(&self, position: f64) -> (usize, f64) {
         let last = (self.leaves() - 1) as f64;
-        cell(map.interval.position(depth) * last / (last + 1.0), self.leaves())
+        cell(position * last / (last + 1.0), self.leaves())
     }
 
     /// Adds a step of height `s` at this place: to the scale and to the node of each level above the leaf.
@@ -116,12 +135,11 @@ impl Wavelet {
         let leaves = self.leaves();
         let x = (leaf as f64 + fraction) / leaves as f64;
         coefficients[0] += s * (1.0 - x);
-        let mut node = (leaves + leaf) >> 1;
-        while node > 0 {
-            let width = (-f64::from(node.ilog2())).exp2();
+        let (mut node, mut width) = ((leaves + leaf) >> 1, 2.0 / leaves as f64);
+        for height in HEIGHTS[..self.levels].iter().rev() {
             let inside = x - (node as f64 * width - 1.0);
-            coefficients[node] += s * height(node) * inside.min(width - inside);
-            node /= 2;
+            coefficients[node] += s * height * inside.min(width - inside);
+            (node, width) = (node / 2, 2.0 * width);
         }
     }
 
@@ -139,25 +157,37 @@ impl Oracle for Wavelet {
         map.interval = self.range.interval(pixel.list);
         map.coefficients.clear();
         map.coefficients.resize(self.leaves(), 0.0);
-        for (&depth, &alpha) in pixel.list.depth.iter().zip(pixel.list.alpha) {
-            let place = self.place(map, depth);
-            self.write(&mut map.coefficients, place, absorbance(alpha, self.s_max));
+        let (mut positions, mut s) = ([0.0; CHUNK], [0.0; CHUNK]);
+        for part in chunks(pixel.list) {
+            map.interval.positions(part.depth, &mut positions);
+            absorbances(part.alpha, self.s_max, &mut s);
+            for (&position, &s) in positions.iter().zip(&s).take(part.len()) {
+                self.write(&mut map.coefficients, self.place(position), s);
+            }
         }
+        map.synthesize();
     }
 
     fn in_front_of(&self, map: &Map, fragment: &Fragment) -> f64 {
-        let place = self.place(map, fragment.depth);
-        // a step's own leaf is (1 − f) of it, of which the interpolation takes f
-        let own = if self.self_correct {
-            absorbance(fragment.alpha, self.s_max) * place.1 * (1.0 - place.1)
-        } else {
-            0.0
-        };
-        transmittance(Self::tau(map, place) - own)
+        see_one(self, map, fragment)
+    }
+
+    fn see(&self, map: &Map, list: List<'_>, seen: &mut [f64]) {
+        let mut own = [0.0; CHUNK];
+        map.interval.positions(list.depth, seen);
+        if self.self_correct {
+            absorbances(list.alpha, self.s_max, &mut own);
+        }
+        for (seen, own) in seen.iter_mut().zip(own) {
+            let place = self.place(*seen);
+            // a step's own leaf is (1 − f) of it, of which the interpolation takes f
+            *seen = Self::tau(map, place) - own * place.1 * (1.0 - place.1);
+        }
+        transmittances(seen);
     }
 
     fn at(&self, map: &Map, depth: f32) -> f64 {
-        transmittance(Self::tau(map, self.place(map, depth)))
+        transmittance(Self::tau(map, self.place(map.interval.position(depth))))
     }
 
     fn total(&self, map: &Map) -> f64 {
@@ -245,7 +275,7 @@ mod tests {
             let pixel = random_pixel(n, u64::from(n) + 12);
             let sum: f64 = pixel.iter().map(|f| absorbance(f.alpha, 10.0)).sum();
             let map = map(5, &pixel);
-            assert_eq!(Wavelet::tau(&map, oracle(5, true).place(&map, 1.0)), 0.0);
+            assert_eq!(Wavelet::tau(&map, oracle(5, true).place(map.interval.position(1.0))), 0.0);
             assert!((map.leaf(63) - sum).abs() < 1e-11);
         }
     }

@@ -130,9 +130,37 @@ impl<S: Scalar> Ldl<S> {
         Some(Self { size, lower, inverse_pivots })
     }
 
+    /// An entry of L below its diagonal.
+    pub fn lower(&self, row: usize, column: usize) -> S {
+        self.lower[row][column]
+    }
+
+    /// The inverse of an entry of D.
+    pub fn inverse_pivot(&self, row: usize) -> f64 {
+        self.inverse_pivots[row]
+    }
+
     /// Solves the system for the right-hand side `v`.
-    pub fn solve(&self, mut v: [S; MAX_SIZE]) -> [S; MAX_SIZE] {
-        let n = self.size;
+    pub fn solve(&self, v: [S; MAX_SIZE]) -> [S; MAX_SIZE] {
+        match self.size {
+            3 => self.solve_of::<3>(v),
+            4 => self.solve_of::<4>(v),
+            5 => self.solve_of::<5>(v),
+            n => self.solve_first(n, v),
+        }
+    }
+
+    /// [`Ldl::solve`] for a system of N unknowns.
+    #[inline(always)]
+    #[expect(clippy::inline_always, reason = "chunks of fragments call this in loops that vectorise")]
+    pub fn solve_of<const N: usize>(&self, v: [S; MAX_SIZE]) -> [S; MAX_SIZE] {
+        debug_assert!(self.size == N);
+        self.solve_first(N, v)
+    }
+
+    #[inline(always)]
+    #[expect(clippy::inline_always, reason = "so that n is a constant where it can be")]
+    fn solve_first(&self, n: usize, mut v: [S; MAX_SIZE]) -> [S; MAX_SIZE] {
         for i in 0..n {
             v[i] = (0..i).fold(v[i], |sum, k| sum - self.lower[i][k] * v[k]);
         }

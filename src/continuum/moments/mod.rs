@@ -5,12 +5,15 @@
 //! points than the moments can tell apart: the canonical one. Its mass in front of d bounds that of every
 //! other from below, and with its mass at d from above.
 
+#[cfg(doc)]
+use crate::continuum::oracle::CHUNK;
 use linear::{Ldl, Scalar};
 
 pub mod linear;
 pub mod oracle;
 pub mod polynomial;
 pub mod power;
+pub mod roots;
 pub mod trigonometric;
 
 /// The most numbers that a pixel stores beside its total absorbance.
@@ -30,9 +33,19 @@ pub trait Basis: Send + Sync + 'static {
     /// Makes moments, given the mean value of each function, ready to be asked.
     fn prepare(&self, means: &[f64; MAX_STORED]) -> Self::Moments;
 
-    /// The share of all absorbance that lies in front of `d` in the canonical distribution; of the part at d
-    /// itself, `overestimation` counts.
-    fn in_front(&self, moments: &Self::Moments, d: f64, overestimation: f64) -> f64;
+    /// Adds each function at `d`, weighted with it, of at most [`CHUNK`] fragments in single precision.
+    fn add(&self, d: &[f64], s: &[f64], sums: &mut [f32; MAX_STORED]);
+
+    /// The share of all absorbance that lies in front of each `d` in the canonical distribution that has it for
+    /// a point; of the part at d itself, `overestimation` counts. There are at most [`CHUNK`].
+    fn shares_in_front(&self, moments: &Self::Moments, d: &[f64], overestimation: f64, shares: &mut [f64]);
+
+    /// [`Basis::shares_in_front`] for one.
+    fn in_front(&self, moments: &Self::Moments, d: f64, overestimation: f64) -> f64 {
+        let mut share = [0.0];
+        self.shares_in_front(moments, &[d], overestimation, &mut share);
+        share[0]
+    }
 }
 
 /// How moments are kept away from the border of what moments can be, where rounding decides.

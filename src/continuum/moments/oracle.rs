@@ -1,12 +1,14 @@
 //! Moments as a transmittance function: what the techniques of both bases share.
 
 use super::{Basis, MAX_STORED, Regularization};
-use crate::continuum::absorbance::{absorbance, transmittance};
-use crate::continuum::oracle::{Composite, Oracle, TwoPass};
+use crate::continuum::absorbance::{absorbances, transmittance, transmittances};
+use crate::continuum::functions::ln;
+use crate::continuum::oracle::{CHUNK, Composite, Oracle, TwoPass, chunks, see_one};
 use crate::continuum::range::DepthRange;
 use crate::fragments::{Fragment, List};
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{AnyTechnique, Cost, DepthComplexity, Pixel, Properties};
+use multiversion::multiversion;
 
 /// The param `bias`; its default is the technique's own.
 pub const BIAS: ParamSpec = ParamSpec::new(
@@ -63,17 +65,33 @@ impl Warp {
         if high <= low {
             return Self::default();
         }
-        let log_low = low.ln();
-        Self { low, high, log_low, log_range: high.ln() - log_low }
+        let log_low = ln(low);
+        Self { low, high, log_low, log_range: ln(high) - log_low }
     }
 
-    /// Where a depth is on the scale; 0 where there is but one depth.
-    pub fn position(&self, depth: f32) -> f64 {
+    /// Where each depth is on the scale; 0 where there is but one depth.
+    pub fn positions(&self, depth: &[f32], positions: &mut [f64]) {
         if self.log_range == 0.0 {
-            return 0.0;
+            positions.fill(0.0);
+        } else {
+            positions_on(*self, depth, positions);
         }
-        let log = f64::from(depth).clamp(self.low, self.high).ln() - self.log_low;
-        (2.0 * log / self.log_range - 1.0).clamp(-1.0, 1.0)
+    }
+
+    /// Where a depth is.
+    pub fn position(&self, depth: f32) -> f64 {
+        let mut position = [0.0];
+        self.positions(&[depth], &mut position);
+        position[0]
+    }
+}
+
+#[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
+fn positions_on(warp: Warp, depth: &[f32], positions: &mut [f64]) {
+    for (position, &depth) in positions.iter_mut().zip(depth) {
+        // as clamp does, which has a branch for bounds out of order
+        let inside = f64::from(depth).max(warp.low).min(warp.high);
+        *position = (2.0 * (ln(inside) - warp.log_low) / warp.log_range - 1.0).clamp(-1.0, 1.0);
     }
 }
 
@@ -101,12 +119,13 @@ impl<B: Basis> MomentOracle<B> {
     #[expect(clippy::cast_possible_truncation, reason = "the sums are f32 targets")]
     fn sum(&self, warp: &Warp, list: List<'_>) -> (f32, [f32; MAX_STORED]) {
         let (mut total, mut sums) = (0.0, [0.0; MAX_STORED]);
-        for (&depth, &alpha) in list.depth.iter().zip(list.alpha) {
-            let s = absorbance(alpha, self.s_max);
-            total += s as f32;
-            for (sum, f) in sums.iter_mut().zip(self.basis.functions(warp.position(depth))) {
-                *sum += (s * f) as f32;
-            }
+        let (mut d, mut s) = ([0.0; CHUNK], [0.0; CHUNK]);
+        for part in chunks(list) {
+            let (d, s) = (&mut d[..part.len()], &mut s[..part.len()]);
+            warp.positions(part.depth, d);
+            absorbances(part.alpha, self.s_max, s);
+            s.iter().for_each(|s| total += *s as f32);
+            self.basis.add(d, s, &mut sums);
         }
         (total, sums)
     }
@@ -124,7 +143,17 @@ impl<B: Basis> Oracle for MomentOracle<B> {
     }
 
     fn in_front_of(&self, map: &Self::Map, fragment: &Fragment) -> f64 {
-        self.at(map, fragment.depth)
+        see_one(self, map, fragment)
+    }
+
+    fn see(&self, map: &Self::Map, list: List<'_>, seen: &mut [f64]) {
+        let Some(moments) = &map.moments else { return seen.fill(1.0) };
+        let mut d = [0.0; CHUNK];
+        let d = &mut d[..list.len()];
+        map.warp.positions(list.depth, d);
+        self.basis.shares_in_front(moments, d, self.overestimation, seen);
+        seen.iter_mut().for_each(|share| *share *= f64::from(map.total));
+        transmittances(seen);
     }
 
     fn at(&self, map: &Self::Map, depth: f32) -> f64 {

@@ -1,4 +1,5 @@
 //! Polynomials of at most the fourth degree: roots where all of them are real, and interpolation.
+#![expect(clippy::inline_always, reason = "chunks of fragments call these in loops that vectorise")]
 
 use super::linear::{MAX_SIZE, Scalar};
 
@@ -7,11 +8,11 @@ pub const MAX_DEGREE: usize = MAX_SIZE - 1;
 
 /// Newton's method with bisection to fall back on takes a handful of steps; towards a multiple root it halves
 /// the distance each time.
-const MAX_STEPS: usize = 64;
+pub const MAX_STEPS: usize = 64;
 
 /// A step of Newton's method this small, relative, leaves an error of about its square; towards a multiple
 /// root one of its own size, which is less than what rounded coefficients do to such a root.
-const LAST_STEP: f64 = 1e-8;
+pub const LAST_STEP: f64 = 1e-8;
 
 /// The value at `x`, and the derivative there. Coefficients ascend.
 fn evaluate(coefficients: &[f64], x: f64) -> (f64, f64) {
@@ -54,7 +55,8 @@ fn roots_of_monic(p: &[f64]) -> [f64; MAX_DEGREE] {
 }
 
 /// The roots of x² + b x + c; the one of larger magnitude comes first into being, so that none cancels.
-fn quadratic(c: f64, b: f64) -> [f64; 2] {
+#[inline(always)]
+pub fn quadratic(c: f64, b: f64) -> [f64; 2] {
     let root = (b * b - 4.0 * c).max(0.0).sqrt();
     let large = -0.5 * (b + root.copysign(b));
     let small = if large == 0.0 { 0.0 } else { c / large };
@@ -62,8 +64,9 @@ fn quadratic(c: f64, b: f64) -> [f64; 2] {
 }
 
 /// The derivative, divided by the degree.
+#[inline(always)]
 #[expect(clippy::cast_precision_loss, reason = "degrees are small")]
-fn derivative(p: &[f64]) -> [f64; MAX_SIZE] {
+pub fn derivative(p: &[f64]) -> [f64; MAX_SIZE] {
     let n = p.len() - 1;
     let mut derivative = [0.0; MAX_SIZE];
     for k in 1..=n {
@@ -73,8 +76,9 @@ fn derivative(p: &[f64]) -> [f64; MAX_SIZE] {
 }
 
 /// Between which numbers the roots lie, if all are real (Laguerre and Samuelson).
+#[inline(always)]
 #[expect(clippy::cast_precision_loss, reason = "degrees are small")]
-fn bounds(p: &[f64]) -> (f64, f64) {
+pub fn bounds(p: &[f64]) -> (f64, f64) {
     let n = p.len() - 1;
     let degree = n as f64;
     let (a, b) = (p[n - 1], p[n - 2]);
@@ -111,6 +115,7 @@ fn root_between(p: &[f64], mut low: f64, mut high: f64) -> f64 {
 }
 
 /// The polynomial in u = x − `origin` that has the same values.
+#[inline(always)]
 pub fn shifted(coefficients: &[f64], origin: f64) -> [f64; MAX_SIZE] {
     let mut shifted = [0.0; MAX_SIZE];
     let shifted_part = &mut shifted[..coefficients.len()];
@@ -125,6 +130,7 @@ pub fn shifted(coefficients: &[f64], origin: f64) -> [f64; MAX_SIZE] {
 
 /// The coefficients, ascending, of the polynomial that takes `values` at `nodes`, by Newton's divided
 /// differences. Nodes that coincide count as one with the first one's value; they stand side by side.
+#[inline(always)]
 pub fn interpolate<S: Scalar>(nodes: &[S], values: &[f64]) -> [S; MAX_SIZE] {
     let n = nodes.len();
     let mut differences = [S::ZERO; MAX_SIZE];
@@ -140,18 +146,23 @@ pub fn interpolate<S: Scalar>(nodes: &[S], values: &[f64]) -> [S; MAX_SIZE] {
 }
 
 /// 0 where nothing is divided by nothing.
+#[inline(always)]
 fn quotient<S: Scalar>(difference: S, distance: S) -> S {
-    if (distance * distance.conj()).re() == 0.0 { S::ZERO } else { difference * distance.recip() }
+    let quotient = difference * distance.recip();
+    if (distance * distance.conj()).re() == 0.0 { S::ZERO } else { quotient }
 }
 
 /// Newton's form in powers of x.
+#[inline(always)]
 fn expand<S: Scalar>(differences: &[S], nodes: &[S]) -> [S; MAX_SIZE] {
     let mut p = [S::ZERO; MAX_SIZE];
-    for (difference, node) in differences.iter().zip(nodes).rev() {
-        for k in (1..MAX_SIZE).rev() {
-            p[k] = p[k - 1] - *node * p[k];
+    let n = differences.len();
+    for i in (0..n).rev() {
+        // so far of degree n − 2 − i
+        for k in (1..n - i).rev() {
+            p[k] = p[k - 1] - nodes[i] * p[k];
         }
-        p[0] = *difference - *node * p[0];
+        p[0] = differences[i] - nodes[i] * p[0];
     }
     p
 }

@@ -1,8 +1,10 @@
 //! Power moments: the mean values of d, d², ..., dᵐ for m = 4, 6 or 8.
 
 use super::linear::{Ldl, MAX_SIZE};
-use super::polynomial::{interpolate, real_roots, shifted};
+use super::polynomial::{MAX_DEGREE, interpolate, real_roots, shifted};
+use super::roots::{BLOCK, in_whole_blocks, real_roots_of_monic};
 use super::{Basis, MAX_STORED, Regularization};
+use multiversion::multiversion;
 
 /// Moments that single precision ones are biased towards (M18's fp32 table). Odd ones are 0.
 const SPREAD: [[f64; MAX_STORED]; 3] = [
@@ -81,8 +83,89 @@ impl Basis for Powers {
         Hankel { moments, ldl: Some(factored.ldl), retries: factored.retries }
     }
 
-    fn in_front(&self, hankel: &Hankel, d: f64, overestimation: f64) -> f64 {
-        let Some(ldl) = &hankel.ldl else { return 0.0 };
+    #[expect(clippy::cast_possible_truncation, reason = "the sums are f32 targets")]
+    fn add(&self, d: &[f64], s: &[f64], sums: &mut [f32; MAX_STORED]) {
+        for (&d, &s) in d.iter().zip(s) {
+            let mut power = 1.0;
+            for sum in &mut sums[..2 * self.points] {
+                power *= d;
+                *sum += (s * power) as f32;
+            }
+        }
+    }
+
+    fn shares_in_front(&self, hankel: &Hankel, d: &[f64], overestimation: f64, shares: &mut [f64]) {
+        let Some(ldl) = &hankel.ldl else { return shares.fill(0.0) };
+        for (d, shares) in d.chunks(BLOCK).zip(shares.chunks_mut(BLOCK)) {
+            let mut far = [0; BLOCK];
+            shares_among_near_roots(self.points, hankel, ldl, d, overestimation, shares, &mut far);
+            for ((share, &d), far) in shares.iter_mut().zip(d).zip(far) {
+                if far != 0 {
+                    *share = self.share_among_near_roots(hankel, ldl, d, overestimation);
+                }
+            }
+        }
+    }
+}
+
+/// [`Powers::share_among_near_roots`] for a block; `far` is not 0 where a root is left out, of which nothing is
+/// known here.
+#[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
+fn shares_among_near_roots(
+    points: usize,
+    hankel: &Hankel,
+    ldl: &Ldl<f64>,
+    d: &[f64],
+    overestimation: f64,
+    shares: &mut [f64],
+    far: &mut [u64; BLOCK],
+) {
+    match points {
+        2 => shares_among::<2, 3>(hankel, ldl, d, overestimation, shares, far),
+        3 => shares_among::<3, 4>(hankel, ldl, d, overestimation, shares, far),
+        _ => shares_among::<4, 5>(hankel, ldl, d, overestimation, shares, far),
+    }
+}
+
+/// With P points beside d, and N of them in all.
+#[inline(always)]
+#[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+fn shares_among<const P: usize, const N: usize>(
+    hankel: &Hankel,
+    ldl: &Ldl<f64>,
+    d: &[f64],
+    overestimation: f64,
+    shares: &mut [f64],
+    far: &mut [u64; BLOCK],
+) {
+    let (d, count) = in_whole_blocks(d);
+    let mut column = [0.0; BLOCK];
+    let (mut p, mut inverses) = ([[0.0; BLOCK]; MAX_DEGREE], [[0.0; BLOCK]; MAX_DEGREE]);
+    for i in 0..count {
+        let kernel = reversed_kernel::<P, N>(ldl, d[i]);
+        for k in 0..P {
+            p[k][i] = kernel[k] / kernel[P];
+        }
+    }
+    real_roots_of_monic::<P>(&p, count, &mut inverses);
+    for i in 0..count {
+        let mut nodes = [d[i]; N];
+        let mut values = [overestimation; N];
+        for k in 0..P {
+            let inverse = inverses[k][i];
+            nodes[k + 1] = d[i] + inverse.recip();
+            values[k + 1] = if inverse < 0.0 { 1.0 } else { 0.0 };
+            far[i] |= u64::from(inverse.abs() * FAR < 1.0);
+        }
+        let p = interpolate(&nodes, &values);
+        column[i] = p.iter().zip(&hankel.moments).take(N).map(|(p, b)| p * b).sum();
+    }
+    shares.copy_from_slice(&column[..shares.len()]);
+}
+
+impl Powers {
+    /// The share in front of d, given that of all roots but those too far away.
+    fn share_among_near_roots(&self, hankel: &Hankel, ldl: &Ldl<f64>, d: f64, overestimation: f64) -> f64 {
         let mut nodes = [d; MAX_SIZE];
         let mut values = [overestimation; MAX_SIZE];
         let mut count = 1;
@@ -96,19 +179,29 @@ impl Basis for Powers {
         let p = interpolate(&nodes[..count], &values[..count]);
         p.iter().zip(&hankel.moments).map(|(p, b)| p * b).sum()
     }
-}
 
-impl Powers {
     /// 1/(x − d) for each other point x of the canonical distribution. The points are the zeros of the kernel
     /// polynomial K(d, x), whose value at d is positive: in 1/(x − d) it has that for a leading coefficient,
     /// and a point at infinity, where its degree is less, is at 0.
     fn inverse_distances(&self, ldl: &Ldl<f64>, d: f64) -> impl Iterator<Item = f64> + use<> {
-        let mut powers = [1.0; MAX_SIZE];
-        for k in 1..MAX_SIZE {
-            powers[k] = d * powers[k - 1];
-        }
-        let mut kernel = shifted(&ldl.solve(powers)[..=self.points], d);
-        kernel[..=self.points].reverse();
+        let kernel = match self.points {
+            2 => reversed_kernel::<2, 3>(ldl, d),
+            3 => reversed_kernel::<3, 4>(ldl, d),
+            _ => reversed_kernel::<4, 5>(ldl, d),
+        };
         real_roots(&kernel[..=self.points]).into_iter().take(self.points)
     }
+}
+
+/// K(d, x) in 1/(x − d), ascending.
+#[inline(always)]
+#[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+fn reversed_kernel<const P: usize, const N: usize>(ldl: &Ldl<f64>, d: f64) -> [f64; MAX_SIZE] {
+    let mut powers = [1.0; MAX_SIZE];
+    for k in 1..MAX_SIZE {
+        powers[k] = d * powers[k - 1];
+    }
+    let mut kernel = shifted(&ldl.solve_of::<N>(powers)[..=P], d);
+    kernel[..=P].reverse();
+    kernel
 }

@@ -1,8 +1,13 @@
 //! Trigonometric moments: the mean values of e^{ikφ}, k = 1..m for m = 2, 3 or 4, with depth as an angle.
+#![expect(clippy::inline_always, reason = "chunks of fragments call these in loops that vectorise")]
 
 use super::linear::{Complex, Ldl, MAX_SIZE, Scalar};
-use super::polynomial::{interpolate, real_roots};
+use super::polynomial::{MAX_DEGREE, interpolate};
+use super::roots::{BLOCK, Column, Columns, in_whole_blocks, real_roots_of_monic};
 use super::{Basis, MAX_STORED, Regularization};
+use crate::continuum::functions::sin_cos_of_turns;
+use crate::continuum::oracle::CHUNK;
+use multiversion::multiversion;
 use std::f64::consts::{PI, TAU};
 
 /// The first m harmonics.
@@ -43,41 +48,20 @@ impl Harmonics {
         }
     }
 
-    /// The angle of a depth.
-    fn angle(&self, d: f64) -> f64 {
-        (PI - 0.5 * self.wrapping_zone) * (d + 1.0)
+    /// The angle of a depth, in turns.
+    fn turns(&self, d: f64) -> f64 {
+        (0.5 - self.wrapping_zone / (4.0 * PI)) * (d + 1.0)
     }
 
-    /// How much of the mass at `angle` in [0, 2π) counts as in front of `limit`.
-    fn counts(&self, angle: f64, limit: f64) -> f64 {
-        let into_zone = angle - (TAU - self.wrapping_zone);
-        if angle < limit {
-            1.0
-        } else if into_zone > 0.0 {
-            (into_zone / self.wrapping_zone).min(1.0)
-        } else {
-            0.0
-        }
-    }
-
-    /// The angles of the canonical distribution's other points. They are the zeros of the kernel polynomial
-    /// K(ζ, x) = Σ gⱼ (−x/ζ)ʲ on the unit circle. With x = −ζ (1 + it)/(1 − it) they become the real zeros t
-    /// of a real polynomial, up to rounding, and ζ goes to infinity: the leading coefficient is K(ζ, ζ) > 0.
-    fn other_points(&self, ldl: &Ldl<Complex>, angle: f64) -> impl Iterator<Item = f64> + use<> {
-        let kernel = ldl.solve(powers(Complex::unit(angle)));
-        let opposite = powers(Complex::unit(angle + PI));
-        let mut polynomial = [0.0; MAX_SIZE];
-        for j in 0..=self.count {
-            let g = kernel[j].conj() * opposite[j];
-            for (p, c) in polynomial.iter_mut().zip(self.cayley[j]) {
-                *p += (g * c).re;
-            }
-        }
-        let roots = real_roots(&polynomial[..=self.count]).into_iter().take(self.count);
-        roots.map(move |t| (angle + PI + 2.0 * t.atan()).rem_euclid(TAU))
+    /// How much of the mass in the wrapping zone counts as in front, at a place `t` of the line on which d, at
+    /// `turns`, is infinitely far away.
+    fn zone_counts(&self, t: f64, turns: f64) -> f64 {
+        let angle = TAU * turns + PI + 2.0 * t.atan();
+        ((angle - (TAU - self.wrapping_zone)) / self.wrapping_zone).clamp(0.0, 1.0)
     }
 }
 
+#[inline(always)]
 fn powers(x: Complex) -> [Complex; MAX_SIZE] {
     let mut powers = [Complex::real(1.0); MAX_SIZE];
     for k in 1..MAX_SIZE {
@@ -108,7 +92,7 @@ impl Basis for Harmonics {
     }
 
     fn functions(&self, d: f64) -> [f64; MAX_STORED] {
-        let powers = powers(Complex::unit(self.angle(d)));
+        let powers = powers(unit(self.turns(d)));
         std::array::from_fn(|k| match powers[1 + k / 2] {
             _ if k >= self.stored() => 0.0,
             Complex { re, .. } if k % 2 == 0 => re,
@@ -132,17 +116,243 @@ impl Basis for Harmonics {
         Toeplitz { moments, ldl: Some(factored.ldl), retries: factored.retries }
     }
 
-    fn in_front(&self, toeplitz: &Toeplitz, d: f64, overestimation: f64) -> f64 {
-        let Some(ldl) = &toeplitz.ldl else { return 0.0 };
-        let angle = self.angle(d);
-        let mut nodes = [Complex::unit(angle); MAX_SIZE];
-        let mut values = [overestimation; MAX_SIZE];
-        let others = self.other_points(ldl, angle);
-        for ((node, value), other) in nodes[1..].iter_mut().zip(&mut values[1..]).zip(others) {
-            *node = Complex::unit(other);
-            *value = self.counts(other, angle);
+    #[expect(clippy::cast_possible_truncation, reason = "the sums are f32 targets")]
+    fn add(&self, d: &[f64], s: &[f64], sums: &mut [f32; MAX_STORED]) {
+        let mut units = [Complex::ZERO; CHUNK];
+        units_at(self, d, &mut units);
+        for (&unit, &s) in units.iter().zip(s).take(d.len()) {
+            let mut power = Complex::real(1.0);
+            for sum in sums.as_chunks_mut::<2>().0.iter_mut().take(self.count) {
+                power = power * unit;
+                *sum = [sum[0] + (s * power.re) as f32, sum[1] + (s * power.im) as f32];
+            }
         }
-        let p = interpolate(&nodes[..=self.count], &values[..=self.count]);
-        p.iter().zip(&toeplitz.moments).map(|(p, b)| (*p * *b).re).sum()
     }
+
+    fn shares_in_front(&self, toeplitz: &Toeplitz, d: &[f64], overestimation: f64, shares: &mut [f64]) {
+        let Some(ldl) = &toeplitz.ldl else { return shares.fill(0.0) };
+        for (d, shares) in d.chunks(BLOCK).zip(shares.chunks_mut(BLOCK)) {
+            shares_of_canonical(self, toeplitz, ldl, d, overestimation, shares);
+        }
+    }
+}
+
+/// e^{i angle} of so many turns.
+#[inline(always)]
+fn unit(turns: f64) -> Complex {
+    let (im, re) = sin_cos_of_turns(turns);
+    Complex { re, im }
+}
+
+#[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
+fn units_at(harmonics: &Harmonics, d: &[f64], units: &mut [Complex; CHUNK]) {
+    for (u, &d) in units.iter_mut().zip(d) {
+        *u = unit(harmonics.turns(d));
+    }
+}
+
+#[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
+fn shares_of_canonical(
+    harmonics: &Harmonics,
+    toeplitz: &Toeplitz,
+    ldl: &Ldl<Complex>,
+    d: &[f64],
+    overestimation: f64,
+    shares: &mut [f64],
+) {
+    match harmonics.count {
+        2 => shares_of::<2, 3>(harmonics, toeplitz, ldl, d, overestimation, shares),
+        3 => shares_of::<3, 4>(harmonics, toeplitz, ldl, d, overestimation, shares),
+        _ => shares_of::<4, 5>(harmonics, toeplitz, ldl, d, overestimation, shares),
+    }
+}
+
+/// With M points beside d, and N of them in all.
+///
+/// The angles of the other points are the zeros of the kernel polynomial K(ζ, x) = Σ gⱼ (−x/ζ)ʲ on the unit circle.
+/// With x = −ζ (1 + it)/(1 − it) they become the real zeros t of a real polynomial, up to rounding, and ζ goes to
+/// infinity: the leading coefficient is K(ζ, ζ) > 0.
+#[inline(always)]
+fn shares_of<const M: usize, const N: usize>(
+    harmonics: &Harmonics,
+    toeplitz: &Toeplitz,
+    ldl: &Ldl<Complex>,
+    d: &[f64],
+    overestimation: f64,
+    shares: &mut [f64],
+) {
+    let (d, count) = in_whole_blocks(d);
+    let mut column = [0.0; BLOCK];
+    let mut zeta = ComplexColumn::default();
+    for (i, &d) in d[..count].iter().enumerate() {
+        zeta.set(i, unit(harmonics.turns(d)));
+    }
+    let p = kernel_polynomials::<M, N>(harmonics, ldl, &zeta, count);
+    let mut roots = [[0.0; BLOCK]; MAX_DEGREE];
+    real_roots_of_monic::<M>(&p, count, &mut roots);
+    let counts = counts::<M>(harmonics, &d, count, &roots);
+    for i in 0..count {
+        let zeta = zeta.get(i);
+        let mut nodes = [zeta; N];
+        let mut values = [overestimation; N];
+        for k in 0..M {
+            nodes[k + 1] = on_circle(zeta, roots[k][i]);
+            values[k + 1] = counts[k][i];
+        }
+        let p = interpolate(&nodes, &values);
+        let mut share = 0.0;
+        for (p, moment) in p[..N].iter().zip(&toeplitz.moments[..N]) {
+            share += (*p * *moment).re;
+        }
+        column[i] = share;
+    }
+    shares.copy_from_slice(&column[..shares.len()]);
+}
+
+/// A complex number for each fragment of a block.
+#[derive(Clone, Copy)]
+struct ComplexColumn {
+    re: Column,
+    im: Column,
+}
+
+impl Default for ComplexColumn {
+    fn default() -> Self {
+        Self { re: [0.0; BLOCK], im: [0.0; BLOCK] }
+    }
+}
+
+impl ComplexColumn {
+    #[inline(always)]
+    fn get(&self, i: usize) -> Complex {
+        Complex { re: self.re[i], im: self.im[i] }
+    }
+
+    #[inline(always)]
+    fn set(&mut self, i: usize, value: Complex) {
+        (self.re[i], self.im[i]) = (value.re, value.im);
+    }
+}
+
+/// 1, ζ, ζ², ...
+#[inline(always)]
+fn column_powers<const N: usize>(zeta: &ComplexColumn, count: usize) -> [ComplexColumn; N] {
+    let mut powers = [ComplexColumn { re: [1.0; BLOCK], im: [0.0; BLOCK] }; N];
+    for k in 1..N {
+        for i in 0..count {
+            let power = powers[k - 1].get(i) * zeta.get(i);
+            powers[k].set(i, power);
+        }
+    }
+    powers
+}
+
+/// [`Ldl::solve`] for a right-hand side per fragment.
+#[inline(always)]
+fn solve_columns<const N: usize>(ldl: &Ldl<Complex>, v: &mut [ComplexColumn; N], count: usize) {
+    for row in 0..N {
+        for k in 0..row {
+            subtract_product(v, row, k, ldl.lower(row, k), count);
+        }
+    }
+    for row in (0..N).rev() {
+        for i in 0..count {
+            let scaled = v[row].get(i).scale(ldl.inverse_pivot(row));
+            v[row].set(i, scaled);
+        }
+        for k in row + 1..N {
+            subtract_product(v, row, k, ldl.lower(k, row).conj(), count);
+        }
+    }
+}
+
+#[inline(always)]
+fn subtract_product<const N: usize>(
+    v: &mut [ComplexColumn; N],
+    row: usize,
+    k: usize,
+    factor: Complex,
+    count: usize,
+) {
+    for i in 0..count {
+        let difference = v[row].get(i) - factor * v[k].get(i);
+        v[row].set(i, difference);
+    }
+}
+
+/// The real polynomials in t, divided by their leading coefficients.
+#[inline(always)]
+fn kernel_polynomials<const M: usize, const N: usize>(
+    harmonics: &Harmonics,
+    ldl: &Ldl<Complex>,
+    zeta: &ComplexColumn,
+    count: usize,
+) -> Columns {
+    let powers = column_powers::<N>(zeta, count);
+    let mut kernel = powers;
+    solve_columns(ldl, &mut kernel, count);
+    let (mut p, mut leading) = ([[0.0; BLOCK]; MAX_DEGREE], [0.0; BLOCK]);
+    for j in 0..N {
+        let sign = if j.is_multiple_of(2) { 1.0 } else { -1.0 };
+        for (k, c) in harmonics.cayley[j].iter().enumerate().take(N) {
+            let sums = if k < M { &mut p[k] } else { &mut leading };
+            let c = c.scale(sign);
+            for (i, sum) in sums[..count].iter_mut().enumerate() {
+                *sum += (kernel[j].get(i).conj() * powers[j].get(i) * c).re;
+            }
+        }
+    }
+    for column in &mut p[..M] {
+        for (p, leading) in column[..count].iter_mut().zip(&leading) {
+            *p /= leading;
+        }
+    }
+    p
+}
+
+/// −ζ (1 + it)/(1 − it).
+#[inline(always)]
+fn on_circle(zeta: Complex, t: f64) -> Complex {
+    let square = t * t;
+    let turn = Complex { re: square - 1.0, im: -2.0 * t };
+    zeta.scale((1.0 + square).recip()) * turn
+}
+
+/// How much of each point counts as in front of d: nothing of those behind it, in the zone the more the closer to
+/// its end, and all beyond that.
+#[inline(always)]
+fn counts<const M: usize>(harmonics: &Harmonics, d: &[f64], count: usize, roots: &Columns) -> Columns {
+    let mut counts = [[0.0; BLOCK]; MAX_DEGREE];
+    let mut limits = ([0.0; BLOCK], [0.0; BLOCK]);
+    for (i, &d) in d[..count].iter().enumerate() {
+        let turns = harmonics.turns(d);
+        // 2 atan t is the angle from opposite d: up to the end of the circle, and to the zone
+        limits.0[i] = cot_of_half(turns);
+        limits.1[i] = cot_of_half(turns + harmonics.wrapping_zone / TAU);
+    }
+    let mut in_zone = [0; BLOCK];
+    for k in 0..M {
+        for i in 0..count {
+            let t = roots[k][i];
+            counts[k][i] = if t >= limits.0[i] { 1.0 } else { 0.0 };
+            in_zone[i] |= u64::from(t > limits.1[i]) & u64::from(t < limits.0[i]);
+        }
+    }
+    for i in (0..count).filter(|&i| in_zone[i] != 0) {
+        for k in 0..M {
+            let t = roots[k][i];
+            if t > limits.1[i] && t < limits.0[i] {
+                counts[k][i] = harmonics.zone_counts(t, harmonics.turns(d[i]));
+            }
+        }
+    }
+    counts
+}
+
+/// The cotangent of half of a turn or less, infinite at either end.
+#[inline(always)]
+fn cot_of_half(turns: f64) -> f64 {
+    let (sin, cos) = sin_cos_of_turns(0.5 * turns);
+    // at the far end rounding decides on the sign of the sine
+    cos / sin.abs()
 }

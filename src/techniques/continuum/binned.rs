@@ -254,6 +254,9 @@ impl<G: Gate> Oracle for SummedBins<G> {
     fn in_front_of(&self, (_, map): &Self::Map, fragment: &Fragment) -> f64 {
         self.maps(self.binning.range).in_front_of(map, fragment)
     }
+    fn see(&self, (_, map): &Self::Map, list: List<'_>, seen: &mut [f64]) {
+        self.maps(self.binning.range).see(map, list, seen);
+    }
     fn at(&self, (_, map): &Self::Map, depth: f32) -> f64 {
         self.maps(self.binning.range).at(map, depth)
     }
