@@ -341,6 +341,7 @@ impl<'a> Job<'a> {
         let ranking_ms = if by_centroid { self.centroid_nanos as f64 * 1e-6 } else { 0.0 };
         let resolve_ms = ranking_ms + share(variant.nanos);
         let alone = self.variants.len() == 1;
+        let of_over = |tiles| if self.plan.overs.contains(&index) { tiles } else { 0 };
         Stats {
             total_ms: if alone { clock.wall_nanos as f64 * 1e-6 } else { raster_ms + resolve_ms },
             raster_ms,
@@ -358,6 +359,8 @@ impl<'a> Job<'a> {
                 ("occluded_primitives", tally.occluded.primitives),
                 ("single_fragment_pixels", variant.single_fragment_pixels),
                 ("hidden_fragments", variant.hidden_fragments),
+                ("one_color_tiles", of_over(tally.one_color_tiles)),
+                ("layered_tiles", of_over(tally.layered_tiles)),
                 ("duplicate_variants", u64::from(duplicate)),
             ],
             threads: clock.threads,

@@ -13,7 +13,7 @@ mod common;
 use common::{capture_with, frame, frames_with, perspective, rectangle, request, samples, scene, soup};
 use oitlab::error::Error;
 use oitlab::fragments::{Background, Fragments, FragmentsInput, Lists};
-use oitlab::frame::Image;
+use oitlab::frame::{Frame, Image};
 use oitlab::params::Input;
 use oitlab::render::{Options, Request, Source, depth_images, render};
 use oitlab::scene::{AlphaMode, Material, Scene};
@@ -88,6 +88,71 @@ fn shortcuts_change_two_ulps_at_most_for_every_technique() {
     let skipped = |name| quick[0].stats.skipped.iter().find(|(n, _)| *n == name).unwrap().1;
     assert!(skipped("empty_pixels") > 0 && skipped("occluded_fragments") > 0);
     assert!(skipped("single_fragment_pixels") > 0);
+}
+
+/// Panes that face the camera, one behind the other in another order than they come in.
+fn panes(size: f64, colors: [[f32; 4]; 4]) -> Scene {
+    let pane = |(z, color): (f64, [f32; 4])| {
+        let (x, y) = ([size * (z - 2.0), size * 2.0], [size * -1.5, size * (1.0 + 0.3 * z)]);
+        rectangle(x, y, z, color, Material::default())
+    };
+    let panes = [0.5, -1.0, 1.0, 0.0].into_iter().zip(colors).map(pane).collect();
+    scene(panes, perspective(70.0, 0.5, 12.0), 61, 47)
+}
+
+const COLORS: [[f32; 4]; 4] =
+    [[1.0, 0.2, 0.1, 0.3], [0.1, 0.9, 0.4, 1.0], [0.3, 0.3, 0.9, 0.6], [0.9, 0.8, 0.2, 0.5]];
+
+/// What is skipped, and where: the image is the same to the bit but for pixels of one fragment.
+#[test]
+fn skips_change_nothing_and_are_counted() {
+    let covering = [COLORS[0], COLORS[3], COLORS[1], COLORS[2]];
+    let pane = rectangle([-40.0, 40.0], [-40.0, 40.0], 1.0, COLORS[1], Material::default());
+    let crossing = scene(vec![soup(60, |i| i), pane], perspective(70.0, 0.5, 12.0), 61, 47);
+    let scenes = [
+        (crossing, "hidden_fragments", 1),
+        (panes(1.0, COLORS), "layered_tiles", 1),
+        (panes(1.0, [COLORS[2]; 4]), "one_color_tiles", 1),
+        (panes(20.0, covering), "hidden_fragments", 2 * 61 * 47),
+    ];
+    let plain = Options { skip: false, ..Options::default() };
+    for (scene, what, least) in scenes {
+        for info in REGISTRY {
+            let requests = [request(info.id, &[])];
+            let quick = frames_with(Source::Scene(&scene), &requests, &Options::default()).remove(0);
+            let full = frames_with(Source::Scene(&scene), &requests, &plain).remove(0);
+            let captured = capture_with(&scene, &Options::default());
+            let from_list =
+                frames_with(Source::Fragments(&captured), &requests, &Options::default()).remove(0);
+            assert!(quick.color == from_list.color, "{} from a list, {what}", info.id);
+            let lone = quick.stats.skipped.iter().find(|(n, _)| *n == "single_fragment_pixels").unwrap().1;
+            let pairs = samples(&quick.color).iter().zip(samples(&full.color));
+            let worst = pairs.map(|(x, y)| ulps(*x, *y)).max().unwrap();
+            let allowed = if lone > 0 { SHORTCUT_ULPS } else { 0 };
+            assert!(worst <= allowed, "{}: {worst} ulps, {what}", info.id);
+            assert_eq!(quick.stats.fragments, full.stats.fragments);
+            assert_eq!(quick.stats.depth_complexity_max, full.stats.depth_complexity_max);
+            if info.id == "a_buffer" {
+                let count = |frame: &Frame| frame.stats.skipped.iter().find(|(n, _)| *n == what).unwrap().1;
+                assert!(count(&quick) >= least, "{what}");
+                assert_eq!(count(&full), 0, "{what}");
+            }
+        }
+    }
+}
+
+/// One after the other or all at once: a variant's image does not depend on what else is rendered.
+#[test]
+fn company_changes_no_bit() {
+    for scene in [mixed_scene(), panes(1.0, COLORS), panes(20.0, [COLORS[2]; 4])] {
+        let all = frames_with(Source::Scene(&scene), &all_techniques(), &Options::default());
+        for (request, together) in all_techniques().into_iter().zip(all) {
+            let alone = frames_with(Source::Scene(&scene), &[request], &Options::default()).remove(0);
+            assert!(alone.color == together.color, "{}", alone.technique);
+            assert!(alone.transmittance == together.transmittance, "{}", alone.technique);
+            assert_eq!(alone.stats.fragments, together.stats.fragments, "{}", alone.technique);
+        }
+    }
 }
 
 #[test]

@@ -181,7 +181,11 @@ const STEPS: [f64; LANES] = {
 };
 
 /// Pixels of one primitive up to which they are listed one by one; runs and blocks pay off from here on.
-pub const FEW: usize = 32;
+pub const FEW: usize = 64;
+
+/// 0 to 7, twice.
+const COUNT: [(f64, u32); LANES] =
+    [(0.0, 0), (1.0, 1), (2.0, 2), (3.0, 3), (4.0, 4), (5.0, 5), (6.0, 6), (7.0, 7)];
 
 /// The pixels of a small primitive, one by one.
 #[derive(Debug, Clone)]
@@ -191,13 +195,13 @@ pub struct Pixels {
     /// Rows.
     y: [f64; FEW + LANES],
     /// Indices in the tile.
-    places: [u32; FEW],
+    places: [u32; FEW + LANES],
     count: usize,
 }
 
 impl Default for Pixels {
     fn default() -> Self {
-        Self { x: [0.0; FEW + LANES], y: [0.0; FEW + LANES], places: [0; FEW], count: 0 }
+        Self { x: [0.0; FEW + LANES], y: [0.0; FEW + LANES], places: [0; FEW + LANES], count: 0 }
     }
 }
 
@@ -214,13 +218,21 @@ impl Pixels {
         let mut next = 0;
         for run in runs {
             let (x, y) = (f64::from(run.x), f64::from(run.y));
-            let mut i = 0;
-            while i < run.len && next < FEW {
-                self.x[next] = x + f64::from(i);
-                self.y[next] = y;
-                self.places[next] = run.first + i;
-                (next, i) = (next + 1, i + 1);
+            let end = next + run.len as usize;
+            let (mut first, mut x) = (run.first, x);
+            while next < end {
+                // whole vectors, the ends of which the next run writes over
+                let (mut xs, mut places) = ([x; LANES], [first; LANES]);
+                for lane in 0..LANES {
+                    xs[lane] += COUNT[lane].0;
+                    places[lane] += COUNT[lane].1;
+                }
+                self.x[next..next + LANES].copy_from_slice(&xs);
+                self.y[next..next + LANES].copy_from_slice(&[y; LANES]);
+                self.places[next..next + LANES].copy_from_slice(&places);
+                (next, first, x) = (next + LANES, first + LANES as u32, x + LANES as f64);
             }
+            next = end;
         }
         self.count = next;
     }

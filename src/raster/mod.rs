@@ -26,7 +26,7 @@ use crate::scene::Scene;
 use glam::DVec3;
 use project::Projector;
 use rayon::prelude::*;
-use setup::{Chunk, Tiling, set_up};
+use setup::{Chunk, Shown, Tiling, set_up};
 
 /// A scene whose primitives are projected and binned, ready to be rasterised tile by tile.
 #[derive(Debug)]
@@ -63,6 +63,14 @@ impl<'a> Raster<'a> {
     /// Linear colour where nothing is drawn.
     pub fn background(&self) -> [f32; 3] {
         self.scene.background()
+    }
+    /// Whether all transparent primitives of the tile have one colour, premultiplied colour and coverage alike.
+    pub fn is_one_color(&self, tile: (usize, usize)) -> bool {
+        let colors = self.transparent_in(tile).map(|(chunk, _)| match chunk.shown {
+            Shown::One(color) => Some(color),
+            Shown::Nothing | Shown::Several => None,
+        });
+        colors.fold(Shown::Nothing, Shown::and) != Shown::Several
     }
     /// Whether nothing at all is to be drawn in the tile.
     pub fn is_empty_tile(&self, column: usize, row: usize) -> bool {

@@ -1,11 +1,11 @@
-//! Which pixel centres a triangle covers, eight rows at a time: the same rule and the same integers as
-//! [`super::cover`], kept in f64, where they are exact too (below 2^52).
+//! Which pixel centres a triangle covers, eight rows at a time: the same rule as in [`super::cover`], and the same
+//! pixels, in floating point that is precise enough to be exact.
 
 use super::cover::Rect;
 use super::project::{CENTER, SUBPIXELS};
 
 /// Neighbouring pixels of a row.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Run {
     /// Column of the first pixel in the image.
     pub x: i32,
@@ -34,14 +34,18 @@ const ROUND: f64 = 6_755_399_441_055_744.0; // 1.5 * 2^52
 /// Beyond any column.
 const FAR: f64 = 1e9;
 
-/// One edge's line: the pixel at or right of its crossing with a row is `ceil(numerator / denominator)`.
+/// One edge's line: the first pixel at or right of its crossing with a row, from the integers n and d > 0 of the
+/// crossing n / d.
+///
+/// `ceil(n / d)` is what `(n - 1/2) / d + 1/2` rounds to. That is at least 1 / 2d from where rounding changes,
+/// and computed to within 2^-51 times the numbers on the way, the largest of which is r |dx| / |dy| with r rows,
+/// r |dx| < 2^40 and d = 256 |dy|: within the image no crossing is taken for its neighbour, and far outside of it
+/// none comes back in.
 #[derive(Clone, Copy)]
 struct Edge {
-    /// At the first row, and from row to row.
-    numerator: f64,
+    /// `(n - 1/2) / d + 1/2` at the first row, and from row to row.
+    at_first: f64,
     step: f64,
-    denominator: f64,
-    inverse: f64,
     /// What makes a left edge no limit on the right, and the other way round.
     on_left: f64,
     on_right: f64,
@@ -54,18 +58,16 @@ impl Edge {
     #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
     fn new(a: (i32, i32), b: (i32, i32), y: i32, sign: f64) -> Self {
         let (dx, dy) = (f64::from(b.0 - a.0), f64::from(b.1 - a.1));
-        let down = if dy < 0.0 { -1.0 } else { 1.0 };
-        let (dx, dy) = (dx * down, dy * down);
-        let below = f64::from(y * SUBPIXELS + CENTER - a.1);
-        let denominator = f64::from(SUBPIXELS) * dy;
         let flat = dy == 0.0;
-        let is_left = down * sign < 0.0;
+        let (below, left_of) = (f64::from(y * SUBPIXELS + CENTER - a.1), f64::from(a.0 - CENTER));
+        // both n and d change sign with dy
+        let half = if dy < 0.0 { -0.5 } else { 0.5 };
+        let inverse = 1.0 / (f64::from(SUBPIXELS) * if flat { 1.0 } else { dy });
+        let is_left = dy * sign < 0.0;
         Self {
-            numerator: f64::from(a.0 - CENTER) * dy + below * dx,
-            step: f64::from(SUBPIXELS) * dx,
-            denominator,
-            inverse: if flat { 0.0 } else { 1.0 / denominator },
-            on_left: if is_left && !flat { 0.0 } else { -FAR },
+            at_first: (left_of * dy + below * dx - half) * inverse + 0.5,
+            step: f64::from(SUBPIXELS) * dx * inverse,
+            on_left: if is_left { 0.0 } else { -FAR },
             on_right: if is_left || flat { FAR } else { 0.0 },
         }
     }
@@ -76,13 +78,7 @@ impl Edge {
     fn crossings(&self, rows: &Rows) -> Rows {
         let mut columns = [0.0; ROWS];
         for row in 0..ROWS {
-            let numerator = self.numerator + rows[row] * self.step;
-            // at most one off the ceiling, and exact integers tell
-            let near = (numerator * self.inverse + 0.5 + ROUND) - ROUND;
-            let excess = near * self.denominator - numerator;
-            let up = if excess < 0.0 { 1.0 } else { 0.0 };
-            let down = if excess >= self.denominator { 1.0 } else { 0.0 };
-            columns[row] = near + up - down;
+            columns[row] = self.at_first + rows[row] * self.step + ROUND - ROUND;
         }
         columns
     }
@@ -140,15 +136,16 @@ pub fn triangle_runs(
             from[row] = column(lefts[row], x1);
             to[row] = column(rights[row], x1);
         }
-        #[expect(clippy::cast_sign_loss, reason = "pixels of the tile")]
+        // every row is written, and those with pixels are kept: empty ones come as a surprise
+        let (mut of_rows, mut kept) = ([Run::default(); ROWS], 0);
         for ((left, right), y) in from.into_iter().zip(to).zip(y..bounds.y1) {
-            if left < right {
-                let len = (right - left) as u32;
-                runs.push(Run { x: left, y, first: (start + left) as u32, len });
-                pixels += len as usize;
-            }
+            let len = (right - left).max(0).cast_unsigned();
+            of_rows[kept % ROWS] = Run { x: left, y, first: (start + left).cast_unsigned(), len };
+            kept += usize::from(len > 0);
+            pixels += len as usize;
             start += width;
         }
+        runs.extend_from_slice(&of_rows[..kept]);
         for row in &mut rows {
             *row += 8.0;
         }

@@ -4,7 +4,7 @@
 use super::clip::clip;
 use super::cover::{Rect, centers, doubled_area};
 use super::project::{BLOCK, Projector, ScreenVertex};
-use super::shade::{Paint, Premultiplied, light};
+use super::shade::{Premultiplied, flat, light};
 use crate::scene::{Mesh, Scene, Shading};
 use glam::DVec3;
 use rayon::prelude::*;
@@ -86,13 +86,20 @@ pub struct Tiling {
     width: i32,
     height: i32,
     size: i32,
+    /// 1 / `size`: there are quicker ways to divide than to divide.
+    per_pixel: f64,
 }
 
 impl Tiling {
     /// Tiles of `size` pixels for an image of the given size.
     #[expect(clippy::cast_possible_wrap, reason = "both are at most MAX_SIZE")]
     pub fn new(width: u32, height: u32, size: u32) -> Self {
-        Self { width: width as i32, height: height as i32, size: size as i32 }
+        Self {
+            width: width as i32,
+            height: height as i32,
+            size: size as i32,
+            per_pixel: f64::from(size).recip(),
+        }
     }
     /// Tiles per row.
     #[expect(clippy::cast_sign_loss, reason = "never negative")]
@@ -116,6 +123,12 @@ impl Tiling {
         Rect { x0, y0, x1, y1 }
     }
 
+    /// The column or row of tiles that a pixel of the image is in. Half a pixel off, no rounding matters.
+    #[expect(clippy::cast_sign_loss, clippy::cast_possible_truncation, reason = "within the image")]
+    fn tile_of(&self, pixel: i32) -> u16 {
+        ((f64::from(pixel) + 0.5) * self.per_pixel) as u16
+    }
+
     /// The tiles that the sub-pixel bounds touch, as ranges of columns and rows; `None` when the bounds hold
     /// no pixel centre of the image.
     fn touched(&self, points: impl Iterator<Item = (i32, i32)>) -> Option<TileRange> {
@@ -127,8 +140,7 @@ impl Tiling {
         let axis = |lo, hi, limit: i32| {
             let (first, last) = centers(lo, hi);
             let (first, last) = (first.max(0), last.min(limit));
-            #[expect(clippy::cast_sign_loss, clippy::cast_possible_truncation, reason = "within the image")]
-            (first < last).then(|| ((first / self.size) as u16, ((last - 1) / self.size) as u16))
+            (first < last).then(|| (self.tile_of(first), self.tile_of(last - 1)))
         };
         let (x0, x1) = axis(lo.0, hi.0, self.width)?;
         let (y0, y1) = axis(lo.1, hi.1, self.height)?;
@@ -156,7 +168,7 @@ impl TileRange {
 }
 
 /// Faces that are set up together, and the unit in which bins keep submission order.
-const CHUNK_FACES: usize = 16_384;
+const CHUNK_FACES: usize = 4096;
 /// Faces whose vertices are fetched before the first is used: misses of the cache then overlap.
 const GATHERED: usize = 64;
 /// Blocks of vertices below which a thread of its own is not worth it.
@@ -175,6 +187,8 @@ pub struct Chunk {
     pub depth_range: (f64, f64),
     /// Whether every primitive has one depth.
     pub faces_camera: bool,
+    /// The colours of its primitives.
+    pub shown: Shown,
     triangles: Vec<Triangle>,
     polygons: Vec<Polygon>,
     /// Entries of tile `t` are `entries[starts[t]..starts[t + 1]]`.
@@ -201,6 +215,28 @@ impl Chunk {
         match entry & POLYGON_BIT {
             0 => Primitive::Triangle(&self.triangles[entry as usize]),
             _ => Primitive::Polygon(&self.polygons[(entry & !POLYGON_BIT) as usize]),
+        }
+    }
+}
+
+/// What is known of the colours of some primitives.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Shown {
+    /// There are none.
+    Nothing,
+    /// All have this one colour.
+    One(Premultiplied),
+    /// There are several.
+    Several,
+}
+
+impl Shown {
+    /// With another primitive, which has one colour or several.
+    pub fn and(self, flat: Option<Premultiplied>) -> Self {
+        match (self, flat) {
+            (Self::Nothing, Some(color)) => Self::One(color),
+            (Self::One(one), Some(color)) if one == color => self,
+            _ => Self::Several,
         }
     }
 }
@@ -265,6 +301,7 @@ impl Job<'_> {
             first_primitive: self.first_primitive,
             depth_range: (f64::INFINITY, f64::NEG_INFINITY),
             faces_camera: true,
+            shown: Shown::Nothing,
             triangles: Vec::with_capacity(self.faces.len()),
             polygons: Vec::new(),
             starts: Vec::new(),
@@ -296,13 +333,13 @@ impl Job<'_> {
         tiling: &Tiling,
         chunk: &mut Chunk,
     ) -> Option<(u32, TileRange)> {
-        for v in vertices {
-            let (lo, hi) = chunk.depth_range;
-            chunk.depth_range = (lo.min(v.z), hi.max(v.z));
-        }
+        let [a, b, c] = vertices.map(|v| v.z);
+        let (lo, hi) = (lesser(lesser(a, b), c), -lesser(lesser(-a, -b), -c));
+        chunk.depth_range = (lesser(chunk.depth_range.0, lo), -lesser(-chunk.depth_range.1, -hi));
         if vertices.iter().any(ScreenVertex::is_outside) {
             let (polygon, tiles) = self.clipped(face, projector, tiling)?;
             chunk.faces_camera &= polygon.corners.iter().all(|c| c.z == polygon.corners[0].z);
+            chunk.shown = chunk.shown.and(flat(self.mesh, face, polygon.light));
             chunk.polygons.push(polygon);
             return Some(((chunk.polygons.len() - 1) as u32 | POLYGON_BIT, tiles));
         }
@@ -315,11 +352,9 @@ impl Job<'_> {
                 light(shading, self.corners(face, projector), projector.is_perspective())
             }
         };
-        let flat = match Paint::new(self.mesh, face, light) {
-            Paint::Flat(color) => Some(color),
-            Paint::Varying(_) => None,
-        };
-        chunk.faces_camera &= vertices.iter().all(|v| v.z == vertices[0].z);
+        let flat = flat(self.mesh, face, light);
+        chunk.faces_camera &= lo == hi;
+        chunk.shown = chunk.shown.and(flat);
         chunk.triangles.push(Triangle { face: face as u32, light, vertices: *vertices, flat });
         Some(((chunk.triangles.len() - 1) as u32, tiles))
     }
@@ -392,6 +427,11 @@ impl Chunk {
         }
         self.triangles = moved;
     }
+}
+
+/// The smaller of two numbers, in one instruction: no depth is NaN.
+fn lesser(a: f64, b: f64) -> f64 {
+    if a < b { a } else { b }
 }
 
 /// Turns counts, each one place late, into starts; their sum.

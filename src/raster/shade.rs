@@ -1,7 +1,7 @@
 //! Colour and coverage of a primitive at a pixel.
 
 use super::interpolate::Hit;
-use crate::scene::{Mesh, Shading};
+use crate::scene::{Colors, Material, Mesh, Shading};
 use glam::DVec3;
 
 /// The part of the light that reaches a surface from everywhere; the headlight gives the rest.
@@ -44,21 +44,40 @@ struct Mask {
     cutoff: f32,
 }
 
+/// A straight colour as the material shows it.
+#[inline]
+fn premultiplied(material: &Material, [r, g, b, a]: [f32; 4], light: f32) -> Premultiplied {
+    let alpha = match material.opacity {
+        Some(opacity) => opacity,
+        None if material.is_transparent() => a,
+        None => 1.0,
+    };
+    let [er, eg, eb] = material.emission;
+    let lit = alpha * light;
+    [r * lit + er, g * lit + eg, b * lit + eb, alpha]
+}
+
+/// The one colour of a face of `mesh`, if that is easily told: [`Paint::new`] has it too.
+#[inline]
+pub fn flat(mesh: &Mesh, face: usize, light: f32) -> Option<Premultiplied> {
+    let material = mesh.material();
+    match mesh.colors() {
+        _ if material.is_masked() => None,
+        Colors::Mesh(color) => Some(premultiplied(material, *color, light)),
+        Colors::Face(colors) => Some(premultiplied(material, colors[face], light)),
+        Colors::Vertex(_) => match Paint::new(mesh, face, light) {
+            Paint::Flat(color) => Some(color),
+            Paint::Varying(_) => None,
+        },
+    }
+}
+
 impl Paint {
     /// The colours of one face of `mesh`, `light` times as bright as its material.
     pub fn new(mesh: &Mesh, face: usize, light: f32) -> Self {
         let material = mesh.material();
         let straight = mesh.corner_colors(face);
-        let corners = straight.map(|[r, g, b, a]| {
-            let alpha = match material.opacity {
-                Some(opacity) => opacity,
-                None if material.is_transparent() => a,
-                None => 1.0,
-            };
-            let [er, eg, eb] = material.emission;
-            let lit = alpha * light;
-            [r * lit + er, g * lit + eg, b * lit + eb, alpha]
-        });
+        let corners = straight.map(|color| premultiplied(material, color, light));
         let mask = material
             .is_masked()
             .then(|| Mask { alphas: straight.map(|c| c[3]), cutoff: material.alpha_cutoff });
@@ -120,7 +139,7 @@ fn interpolate(values: [f32; 3], hit: &Hit) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::{AlphaMode, Colors, Material};
+    use crate::scene::AlphaMode;
 
     fn shade(colors: Colors, material: Material) -> Paint {
         let vertices = vec![[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];

@@ -14,6 +14,10 @@ pub(super) struct Tally {
     pub deepest: u64,
     pub empty_tiles: u64,
     pub empty_pixels: u64,
+    /// Tiles whose layers `over` got in any order, since they have one colour ...
+    pub one_color_tiles: u64,
+    /// ... and those where they came front to back.
+    pub layered_tiles: u64,
     pub occluded: Occluded,
     pub variants: Vec<VariantTally>,
 }
@@ -51,6 +55,8 @@ impl Tally {
         self.deepest = self.deepest.max(other.deepest);
         self.empty_tiles += other.empty_tiles;
         self.empty_pixels += other.empty_pixels;
+        self.one_color_tiles += other.one_color_tiles;
+        self.layered_tiles += other.layered_tiles;
         self.occluded.add(other.occluded);
         for (mine, theirs) in self.variants.iter_mut().zip(&other.variants) {
             mine.nanos += theirs.nanos;

@@ -152,7 +152,14 @@ impl Job<'_> {
         if !drawn.begin(raster, tile, rect, self.options.skip, stop) {
             return Drawn::Stopped;
         }
-        let over_wanted = !plan.overs.is_empty() && plan.listed.is_empty() && drawn.is_layered(raster, tile);
+        // layers of one colour look the same in any order, so that it need not be found
+        let order = match () {
+            () if plan.overs.is_empty() || !plan.listed.is_empty() || !self.options.skip => None,
+            () if raster.is_one_color(tile) => Some(Order::Submission),
+            () if drawn.is_layered(raster, tile) => Some(Order::FrontToBack),
+            () => None,
+        };
+        let over_wanted = order.is_some();
         let lists_wanted = !plan.listed.is_empty() || (!plan.overs.is_empty() && !over_wanted);
         let mut finished = true;
         let mut occluded = None;
@@ -182,9 +189,15 @@ impl Job<'_> {
             painter.begin(rect);
             finished &= drawn.transparent(raster, tile, Order::BackToFront, painter, stop);
         }
-        if over_wanted {
+        if let Some(order) = order {
             over.begin(rect, self.options.skip);
-            finished &= drawn.transparent(raster, tile, Order::FrontToBack, over, stop);
+            finished &= drawn.transparent(raster, tile, order, over, stop);
+            let tiles = if order == Order::Submission {
+                &mut tally.one_color_tiles
+            } else {
+                &mut tally.layered_tiles
+            };
+            *tiles += 1;
         }
         if !finished {
             return Drawn::Stopped;

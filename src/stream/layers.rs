@@ -32,6 +32,8 @@ impl TileOver {
         let [r, g, b, transmittance] = &mut self.planes;
         [r, g, b].into_iter().for_each(|plane| reset(plane, rect.area(), 0.0));
         reset(transmittance, rect.area(), 1.0);
+        // nothing is to be seen beyond the last pixel
+        (rect.area()..transmittance.len() * LANES).for_each(|i| *at_mut(transmittance, i) = 0.0);
         reset(&mut self.counts, rect.area(), 0);
     }
 
@@ -96,7 +98,7 @@ impl TileOver {
         }
     }
 
-    /// Whether every pixel is covered. Those beyond the last one are not, if there are any.
+    /// Whether every pixel is covered.
     fn nothing_shows(&self) -> bool {
         self.planes[3].iter().all(|group| group.0.iter().all(|t| *t == 0.0))
     }

@@ -2,6 +2,7 @@
 
 use crate::error::Result;
 use crate::params::{Kind, ParamSpec, Params, Value, View};
+use crate::stream::Streamed;
 use crate::technique::{
     AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties, Resolved, Technique,
 };
@@ -81,6 +82,11 @@ impl Technique for DepthPeeling {
             transmittance *= 1.0 - f64::from(alpha);
         }
         Resolved::new(color + transmittance * pixel.background, transmittance)
+    }
+
+    /// Without a limit it is `over`, operation by operation.
+    fn streamed(&self) -> Option<Streamed<'_>> {
+        (self.passes == usize::MAX && self.enough == 0.0).then_some(Streamed::Over)
     }
 
     fn transmittance(&self, pixel: &Pixel<'_>, depths: &[f32], (): &mut ()) -> Option<Vec<f64>> {
