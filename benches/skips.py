@@ -9,11 +9,18 @@ import numpy as np
 from harness import Run, markdown_table, scene, three_digits, timed
 
 import oitlab
+from oitlab.rendering import Variant
 
 TECHNIQUES = ("wboit", "lwboit", "a_buffer")
 SHARE = 0.05
-EXTRA = ("wboit", "weighted_sum", "weighted_average", "blended_oit", "mboit_power")
-"""Blended techniques whose extra cost in `render_many` is measured."""
+FURTHER: dict[str, tuple[Variant, ...]] = {
+    "another weight": tuple(("wboit", {"weight": weight}) for weight in ("mb8", "mb9", "mb10")),
+    "another blended technique": ("weighted_sum", "weighted_average", "blended_oit"),
+    "the same again": ("wboit",) * 3,
+}
+"""What `render_many` is asked for beside wboit."""
+LISTS: tuple[Variant, ...] = ("mlab", "k_buffer", "hybrid_transparency", "a_buffer")
+"""Techniques that share lists and their sorting."""
 
 
 def scenes(run: Run) -> dict[str, oitlab.Scene]:
@@ -61,21 +68,23 @@ def _sheet(full: oitlab.Scene, depth: float, alpha_mode: Any) -> oitlab.Mesh:
 
 
 def extra_variants(run: Run) -> dict[str, Any]:
-    """Cost of each further blended variant of `render_many`, as a share of one wboit render."""
+    """Cost of each further variant of `render_many` as a share of one wboit render, and what lists share."""
     found = {}
     for name in ("smoke", "soup", "shells"):
         what = scene(name, run)
-        calls: dict[str, Callable[[], Any]] = {
-            "one": lambda w=what: oitlab.render(w, "wboit"),
-            "all": lambda w=what: oitlab.render_many(w, EXTRA),
-            "same": lambda w=what: oitlab.render_many(w, ["wboit"] * len(EXTRA)),
-        }
+        calls: dict[str, Callable[[], Any]] = {"wboit": lambda w=what: oitlab.render(w, "wboit")}
+        for kind, more in FURTHER.items():
+            calls[kind] = lambda w=what, m=more: oitlab.render_many(w, ["wboit", *m])
+        calls["lists together"] = lambda w=what: oitlab.render_many(w, LISTS)
+        for technique in LISTS:
+            calls[f"{technique} alone"] = lambda w=what, t=technique: oitlab.render(w, t)
         times = {call: row["median_ms"] for call, row in timed(calls, run.repeats).items()}
-        more = len(EXTRA) - 1
+        one = times["wboit"]
+        alone = sum(times[f"{technique} alone"] for technique in LISTS)
         found[name] = {
-            "wboit_ms": times["one"],
-            "share_per_variant": (times["all"] - times["one"]) / more / times["one"],
-            "share_per_identical_variant": (times["same"] - times["one"]) / more / times["one"],
+            "wboit_ms": one,
+            "share_per_variant": {k: (times[k] - one) / len(more) / one for k, more in FURTHER.items()},
+            "lists_together_over_alone": times["lists together"] / alone,
         }
     return found
 
@@ -107,15 +116,15 @@ def tables(results: dict[str, Any], variants: dict[str, Any]) -> str:
             cells.append(f"{three_digits(with_skip)} ({with_skip / full:.0%}; {without / full:.0%})")
         rows.append(cells)
     shares = [
-        [name, three_digits(row["wboit_ms"]), f"{row['share_per_variant']:.0%}",
-         f"{row['share_per_identical_variant']:.0%}"] for name, row in variants.items()
+        [name, three_digits(row["wboit_ms"]), *(f"{row['share_per_variant'][kind]:.0%}" for kind in FURTHER),
+         f"{row['lists_together_over_alone']:.0%}"] for name, row in variants.items()
     ]  # fmt: skip
     return "\n\n".join(
         [
             "Milliseconds; in brackets the share of the full scene's time, then the same with skip=False.",
             markdown_table(["scene", "fragments", *TECHNIQUES], rows),
-            f"Each further variant of `render_many` ({', '.join(EXTRA[1:])}), as a share of one wboit "
-            "render; then the same for variants identical to the first.",
-            markdown_table(["scene", "wboit ms", "each further", "each identical"], shares),
+            "What each further variant of `render_many` costs beside wboit, as a share of one wboit; then "
+            f"the time of {', '.join(map(str, LISTS))} in one call over the sum of their own.",
+            markdown_table(["scene", "wboit ms", *FURTHER, "lists"], shares),
         ]
     )

@@ -73,6 +73,17 @@ def test_what_is_skipped_is_what_the_scene_lacks(bench: dict[str, Any]) -> None:
     assert rows["hidden behind a wall"]["fragments"] == 0
     assert rows["hidden behind a wall"]["skipped"]["occluded_primitives"] > 0
     assert rows["single layer"]["fragments"] == pixels
-    assert rows["single layer"]["skipped"]["single_fragment_pixels"] == pixels
+    tiles = 3 * 2
+    assert rows["empty"]["skipped"]["empty_tiles"] == tiles
+    assert rows["single layer"]["skipped"]["one_color_tiles"] == tiles
+    assert rows["uniform colour"]["skipped"]["one_color_tiles"] == tiles
+    assert rows["full"]["skipped"]["layered_tiles"] == tiles
     assert rows["uniform colour"]["fragments"] == rows["full"]["fragments"]
     assert rows["5 % transparent"]["fragments"] == pytest.approx(0.05 * rows["full"]["fragments"], rel=0.3)
+    for row in bench["skips"]["extra_variants"].values():
+        assert set(row["share_per_variant"]) == {
+            "another weight",
+            "another blended technique",
+            "the same again",
+        }
+        assert row["lists_together_over_alone"] > 0.0
