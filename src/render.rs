@@ -56,12 +56,7 @@ pub struct Options {
 
 impl Default for Options {
     fn default() -> Self {
-        Self {
-            threads: None,
-            skip: true,
-            tile_size: std::env::var("OT").ok().and_then(|v| v.parse().ok()).unwrap_or(64),
-            max_fragments: 1 << 18,
-        }
+        Self { threads: None, skip: true, tile_size: 64, max_fragments: 1 << 18 }
     }
 }
 

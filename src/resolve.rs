@@ -5,8 +5,7 @@ use crate::fragments::{Lists, ListsRef};
 use crate::order::{CentroidOrder, Reorderer, SubmissionOrder, without_zero_fragments};
 use crate::params::Params;
 use crate::raster::Order;
-use crate::stream::Streamed;
-use crate::technique::{AnyTechnique, Batch, Info, Resolved};
+use crate::technique::{AnyTechnique, Batch, Info, Resolved, Streamed};
 use glam::{DVec3, Vec3};
 use std::time::Instant;
 

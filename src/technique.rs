@@ -1,10 +1,10 @@
 //! What a transparency technique is: a function from a pixel's fragment list to a colour, with an entry in
 //! the registry that says what it is called, what it costs and what it promises.
 
+use crate::continuum::sums::Blended;
 use crate::error::Result;
 use crate::fragments::{List, ListsRef};
 use crate::params::{ParamSpec, Params, View};
-use crate::stream::Streamed;
 use glam::DVec3;
 
 /// One pixel as a technique sees it.
@@ -112,6 +112,17 @@ impl Properties {
         exact_for_one_color: true,
         exact_coverage: true,
     };
+}
+
+/// What a technique is if it can be fed fragment by fragment.
+#[derive(Clone, Copy)]
+pub enum Streamed<'a> {
+    /// Sums over all fragments.
+    Sums(&'a dyn Blended),
+    /// Front-to-back compositing of sorted fragments in double precision (sheet 0.1): to be fed front to back.
+    Over,
+    /// `dst ← C + (1 − a) dst` in single precision, in submission order.
+    Blend,
 }
 
 /// A transparency technique with its params bound.

@@ -230,7 +230,7 @@ impl Pixels {
                 self.x[next..next + LANES].copy_from_slice(&xs);
                 self.y[next..next + LANES].copy_from_slice(&[y; LANES]);
                 self.places[next..next + LANES].copy_from_slice(&places);
-                (next, first, x) = (next + LANES, first + LANES as u32, x + LANES as f64);
+                (next, first, x) = (next + LANES, places[LANES - 1] + 1, xs[LANES - 1] + 1.0);
             }
             next = end;
         }

@@ -5,14 +5,13 @@
 
 use super::cover::Rect;
 use super::interpolate::Surface;
-use super::network::{LANES, NOTHING, Row, sort_columns};
+use super::network::{NOTHING, Row, sort_columns};
 use super::runs::Run;
 use super::shade::{Paint, Premultiplied};
 use super::tile::{Cover, Sink, pixel_at};
 use crate::fragments::{Fragment, Lists};
+use crate::lanes::LANES;
 use crate::order::sort_key;
-use crate::technique::Finished;
-use multiversion::multiversion;
 
 /// Collects a tile's fragments in submission order.
 #[derive(Default)]
@@ -135,10 +134,20 @@ impl TileLists<'_> {
         }
     }
 
+    /// The rows of a group of pixels, each with a fragment of every pixel or [`NOTHING`].
+    pub fn rows_of(&self, group: usize) -> &[Row] {
+        &self.rows[self.starts[group]..self.starts[group + 1]]
+    }
+
+    /// Whether anything can hide all that is behind it.
+    pub fn any_covers(&self) -> bool {
+        self.any_covers
+    }
+
     /// The colours of a row's fragments, channel by channel; transparent black where there are none.
     #[inline(always)]
     #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
-    fn colors_of(&self, row: &Row, pixel: usize) -> [[f32; LANES]; 4] {
+    pub fn colors_of(&self, row: &Row, pixel: usize) -> [[f32; LANES]; 4] {
         let mut channels = [[0.0; LANES]; 4];
         let is_flat = self.varying.is_empty();
         for lane in 0..LANES {
@@ -157,71 +166,6 @@ impl TileLists<'_> {
         let (x, y) = pixel_at(&self.rect, pixel);
         paint.at(&surface.at(x, y))
     }
-
-    /// Composites sorted lists front to back in double precision (sheet 0.1), and with `skip` no further than to
-    /// where nothing can be seen any more. Gives the number of fragments behind such places.
-    pub fn over(
-        &self,
-        pixels: std::ops::Range<usize>,
-        background: &[[f32; 3]],
-        skip: bool,
-        out: &mut Vec<Finished>,
-    ) -> u64 {
-        out.resize(pixels.len(), [0.0; 4]);
-        over(self, pixels.start, background, skip, out)
-    }
-}
-
-#[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
-fn over(
-    lists: &TileLists<'_>,
-    first: usize,
-    background: &[[f32; 3]],
-    skip: bool,
-    out: &mut [Finished],
-) -> u64 {
-    let mut hidden = 0;
-    let groups = first / LANES..(first + out.len()).div_ceil(LANES);
-    for (group, out) in groups.zip(out.chunks_mut(LANES)) {
-        let pixel = group * LANES;
-        let (mut sums, mut transmittance) = ([[0.0; LANES]; 3], [1.0; LANES]);
-        let rows = &lists.rows[lists.starts[group]..lists.starts[group + 1]];
-        for (i, row) in rows.iter().enumerate() {
-            let [r, g, b, alpha] = lists.colors_of(row, pixel);
-            add(&mut sums[0], &transmittance, &r);
-            add(&mut sums[1], &transmittance, &g);
-            add(&mut sums[2], &transmittance, &b);
-            let mut behind = transmittance;
-            for lane in 0..LANES {
-                behind[lane] *= 1.0 - f64::from(alpha[lane]);
-            }
-            transmittance = behind;
-            if skip && lists.any_covers && transmittance == [0.0; LANES] {
-                let left = rows[i + 1..].as_flattened();
-                hidden += left.iter().map(|&packed| u64::from(packed != NOTHING)).sum::<u64>();
-                break;
-            }
-        }
-        for (lane, out) in out.iter_mut().enumerate() {
-            let [r, g, b] = background[pixel + lane];
-            let (layers, behind) = ([sums[0][lane], sums[1][lane], sums[2][lane], 0.0], [r, g, b, 1.0]);
-            for channel in 0..4 {
-                out[channel] = layers[channel] + transmittance[lane] * f64::from(behind[channel]);
-            }
-        }
-    }
-    hidden
-}
-
-/// `sum += transmittance * channel`
-#[inline(always)]
-#[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
-fn add(sum: &mut [f64; LANES], transmittance: &[f64; LANES], channel: &[f32; LANES]) {
-    let mut sums = *sum;
-    for lane in 0..LANES {
-        sums[lane] += transmittance[lane] * f64::from(channel[lane]);
-    }
-    *sum = sums;
 }
 
 /// Depth and primitive number of a packed fragment.

@@ -15,6 +15,7 @@ mod visit;
 
 pub use cover::Rect;
 pub use lists::TileLists;
+pub use network::{NOTHING, Row};
 pub use occlusion::Opaque;
 pub use runs::Run;
 pub use shade::{AMBIENT, Paint, Premultiplied};

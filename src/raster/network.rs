@@ -1,11 +1,10 @@
 //! Eight lists sorted at once: a list is a column of rows of eight numbers, and a sorting network compares whole
 //! rows.
 
+use crate::lanes::LANES;
 use multiversion::multiversion;
 use std::hint::black_box;
 
-/// Lists that are sorted together.
-pub const LANES: usize = 8;
 /// One number of each list. Keys of fragments, taken for the bits of floating-point numbers, are positive and
 /// finite and sort as the integers do, and every instruction set has a minimum and a maximum of such numbers.
 pub type Row = [f64; LANES];

@@ -154,6 +154,19 @@ pub fn triangle_runs(
     pixels
 }
 
+/// Whether a triangle covers all pixels of `rect`, which is no larger than its bounds: edges are straight, so that
+/// the first and the last row tell.
+pub fn covers_all(points: [(i32, i32); 3], sign: f64, rect: &Rect) -> bool {
+    let [a, b, c] = points;
+    let last = f64::from(rect.y1 - 1 - rect.y0);
+    let (x0, x1) = (f64::from(rect.x0), f64::from(rect.x1));
+    [(a, b), (b, c), (c, a)].into_iter().all(|(from, to)| {
+        let edge = Edge::new(from, to, rect.y0, sign);
+        let [first, last, ..] = edge.crossings(&[0.0, last, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
+        [first, last].into_iter().all(|x| x + edge.on_left <= x0 && x + edge.on_right >= x1)
+    })
+}
+
 /// Triangles of no more columns and rows of pixels are looked at pixel by pixel.
 const TINY: i32 = 8;
 /// No corner is farther away from a pixel of such a triangle's bounds, in sub-pixels, so that edge functions fit
@@ -227,7 +240,7 @@ mod tests {
 
     #[test]
     fn agree_with_the_integer_spans() {
-        let mut tinies = 0;
+        let (mut tinies, mut full) = (0, 0);
         for n in 0..20_000_u32 {
             let rect = Rect { x0: 3, y0: 2, x1: 3 + 12 + (n % 60).cast_signed(), y1: 40 };
             let scale = [64, 700, 1500, 4096, 12_000, 16_000_000][n as usize % 6];
@@ -250,6 +263,9 @@ mod tests {
             let count = triangle_runs(t, f64::from(sign), &rect, &bounds, &mut runs);
             assert_eq!(pixels(&runs), expected, "{t:?}");
             assert_eq!(count, expected.len());
+            let all = bounds == rect && covers_all(t, f64::from(sign), &rect);
+            assert_eq!(all, expected.len() == rect.area(), "{t:?}");
+            full += usize::from(all);
             if !expected.is_empty() && is_tiny(&t, &bounds) {
                 let mut tiny = Vec::new();
                 assert_eq!(tiny_runs(t, sign, &rect, &bounds, &mut tiny), expected.len());
@@ -257,6 +273,6 @@ mod tests {
                 tinies += 1;
             }
         }
-        assert!(tinies > 1000);
+        assert!(tinies > 1000 && full > 100, "{tinies} {full}");
     }
 }

@@ -5,7 +5,7 @@ use super::Raster;
 use super::cover::{Rect, spans};
 use super::interpolate::{FEW, LANES, Pixels, Plane, Ray, Surface};
 use super::occlusion::Opaque;
-use super::runs::{Run, is_tiny, tiny_runs, triangle_runs};
+use super::runs::{Run, covers_all, is_tiny, tiny_runs, triangle_runs};
 use super::setup::{Chunk, Primitive, pixel_bounds};
 use super::shade::{Paint, Shade};
 use super::visit::{Order, Visits};
@@ -82,6 +82,10 @@ pub struct Tile {
     depth: Vec<f32>,
     few: Pixels,
     blocks: Vec<Block>,
+    /// The runs and blocks of all pixels, and whether they are those of the primitive at hand.
+    full_runs: Vec<Run>,
+    full_blocks: Vec<Block>,
+    is_full: bool,
 }
 
 impl Tile {
@@ -94,7 +98,7 @@ impl Tile {
         skip: bool,
         stop: &dyn Fn() -> bool,
     ) -> bool {
-        self.rect = rect;
+        self.set_rect(rect);
         self.occluded = Occluded::default();
         self.opaque.begin(rect.area(), raster.background());
         let finished = for_each_primitive(raster, &raster.opaque, tile, stop, |chunk, primitive| {
@@ -109,6 +113,19 @@ impl Tile {
         });
         self.opaque.finish(skip);
         finished
+    }
+
+    fn set_rect(&mut self, rect: Rect) {
+        self.rect = rect;
+        self.full_runs.clear();
+        self.full_blocks.clear();
+        #[expect(clippy::cast_possible_truncation, reason = "pixels of a tile")]
+        for y in rect.y0..rect.y1 {
+            let (first, len) = (index_in(&rect, rect.x0, y) as u32, rect.width() as u32);
+            self.full_runs.push(Run { x: rect.x0, y, first, len });
+        }
+        #[expect(clippy::cast_possible_truncation, reason = "pixels of a tile")]
+        push_blocks(0, rect.area() as u32, &mut self.full_blocks);
     }
 
     /// The opaque surfaces and what else is behind each pixel.
@@ -232,6 +249,7 @@ impl Tile {
     fn cover(&mut self, primitive: Primitive<'_>) -> usize {
         let (rect, runs) = (self.rect, &mut self.runs);
         runs.clear();
+        self.is_full = false;
         match primitive {
             Primitive::Triangle(triangle) => {
                 let points = triangle.points();
@@ -243,7 +261,13 @@ impl Tile {
                 if is_tiny(&points, &bounds) {
                     return tiny_runs(points, sign, &rect, &bounds, runs);
                 }
-                triangle_runs(points, f64::from(sign), &rect, &bounds, runs)
+                let sign = f64::from(sign);
+                if bounds == rect && covers_all(points, sign, &rect) {
+                    self.is_full = true;
+                    runs.extend_from_slice(&self.full_runs);
+                    return rect.area();
+                }
+                triangle_runs(points, sign, &rect, &bounds, runs)
             }
             Primitive::Polygon(polygon) => {
                 let mut pixels = 0;
@@ -270,6 +294,8 @@ impl Tile {
         self.blocks.clear();
         if pixels <= FEW {
             self.few.list(&self.runs);
+        } else if K::BLOCKS && self.is_full && pixels == self.rect.area() {
+            self.blocks.extend_from_slice(&self.full_blocks);
         } else if K::BLOCKS {
             self.runs.iter().for_each(|run| push_blocks(run.first, run.len, &mut self.blocks));
         }

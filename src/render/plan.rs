@@ -2,7 +2,7 @@
 
 use crate::raster::Order;
 use crate::resolve::Variant;
-use crate::stream::Streamed;
+use crate::technique::Streamed;
 
 /// Places of variants, by how they get their fragments.
 #[derive(Debug, Default)]

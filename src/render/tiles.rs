@@ -8,8 +8,8 @@ use crate::fragments::Lists;
 use crate::frame::Sample;
 use crate::raster::{Cover, Order, Raster, Rect, Sink, Tile, TileLists};
 use crate::resolve::{Resolver, Variant, nanos_since};
-use crate::stream::{Streamed, TileBlend, TileOver, TileSums};
-use crate::technique::{Batch, Finished, Resolved};
+use crate::stream::{TileBlend, TileOver, TileSums, over_lists};
+use crate::technique::{Batch, Finished, Resolved, Streamed};
 use std::ops::Range;
 use std::time::Instant;
 
@@ -264,7 +264,7 @@ impl Job<'_> {
                 if n == 0 {
                     lists.sort(range.start, range.end);
                 }
-                hidden += lists.over(range, tile.background().colors(), self.options.skip, out);
+                hidden += over_lists(lists, range, tile.background().colors(), self.options.skip, out);
             });
             tally.variants[v].hidden_fragments += std::mem::take(&mut hidden);
         }

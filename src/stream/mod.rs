@@ -1,26 +1,16 @@
 //! Techniques that are fed while the tile is rasterised: a state per pixel, no fragment is kept.
 
 mod layers;
+mod over_lists;
 mod sums;
 
 pub use layers::{TileBlend, TileOver};
+pub use over_lists::over_lists;
 pub use sums::TileSums;
 
-use crate::continuum::sums::Blended;
 use crate::raster::{Cover, Paint, Premultiplied};
 use crate::resolve::nanos_since;
 use std::time::Instant;
-
-/// What a technique is if it can be fed fragment by fragment.
-#[derive(Clone, Copy)]
-pub enum Streamed<'a> {
-    /// Sums over all fragments.
-    Sums(&'a dyn Blended),
-    /// Front-to-back compositing of sorted fragments in double precision (sheet 0.1): to be fed front to back.
-    Over,
-    /// `dst ← C + (1 − a) dst` in single precision, in submission order.
-    Blend,
-}
 
 /// Times one call in so many, and scales: reading the clock costs as much as a small triangle.
 #[derive(Debug, Default)]

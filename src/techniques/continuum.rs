@@ -21,9 +21,8 @@ use crate::continuum::range::DepthRange;
 use crate::continuum::stochastic::{Visibility, VisibleByChance, VisibleSamples};
 use crate::error::Result;
 use crate::params::{Default, Kind, ParamSpec, Params, Value, View};
-use crate::stream::Streamed;
 use crate::technique::{
-    AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties, Resolved, Technique,
+    AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties, Resolved, Streamed, Technique,
 };
 use crate::techniques::ANY_ORDER;
 use crate::weight::{self, Weighting};

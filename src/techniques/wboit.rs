@@ -4,9 +4,9 @@ use super::blended_oit::BLENDED;
 use crate::continuum::sums::{BlendSums, Blended, SumsOf, finish_each};
 use crate::error::Result;
 use crate::params::{Kind, ParamSpec, Params, Value, View};
-use crate::stream::Streamed;
 use crate::technique::{
-    AnyTechnique, Axes, Cost, DepthComplexity, Finished, Info, Pixel, Properties, Resolved, Technique,
+    AnyTechnique, Axes, Cost, DepthComplexity, Finished, Info, Pixel, Properties, Resolved, Streamed,
+    Technique,
 };
 use crate::techniques::ANY_ORDER;
 use crate::weight::{self, Weighting};

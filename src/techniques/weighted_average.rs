@@ -3,9 +3,8 @@
 use crate::continuum::sums::{BlendSums, Blended};
 use crate::error::Result;
 use crate::params::{Params, View};
-use crate::stream::Streamed;
 use crate::technique::{
-    AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties, Resolved, Technique,
+    AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties, Resolved, Streamed, Technique,
 };
 use crate::techniques::ANY_ORDER;
 use glam::DVec3;
