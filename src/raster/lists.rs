@@ -83,8 +83,17 @@ impl TileLists<'_> {
             sum += counts.iter().max().map_or(0, |&deepest| deepest as usize);
             self.starts.push(sum);
         }
-        self.rows.clear();
-        self.rows.resize(sum, [NOTHING; LANES]);
+        // what is left of other tiles is written over, by fragments or by NOTHING
+        if self.rows.len() < sum {
+            self.rows.resize(sum, [NOTHING; LANES]);
+        }
+        for ((counts, first), last) in self.counts.chunks(LANES).zip(&self.starts).zip(&self.starts[1..]) {
+            let rows = &mut self.rows[*first..*last];
+            for lane in 0..LANES {
+                let count = counts.get(lane).map_or(0, |&n| n as usize);
+                rows[count..].iter_mut().for_each(|row| row[lane] = NOTHING);
+            }
+        }
         // what NOTHING is taken for
         self.flat.push([0.0; 4]);
         self.places.push(FLAT);

@@ -4,6 +4,7 @@ use crate::error::{Error, Result};
 use crate::frame::Sample;
 use crate::raster::Rect;
 use crate::technique::{Finished, Resolved};
+use rayon::prelude::*;
 
 /// One variant's images.
 #[derive(Debug, Clone)]
@@ -30,12 +31,12 @@ impl<S: Sample> Target<S> {
     pub fn new(width: u32, height: u32, channels: &[usize]) -> Result<Self> {
         let pixels = width as usize * height as usize;
         let samples = channels.iter().map(|c| (3 + c) * pixels).sum::<usize>();
-        // a failing vec! would abort; zeroed memory is only claimed once it is written
+        // a failing vec! would abort
         let room = Vec::<S>::new().try_reserve_exact(samples);
         room.map_err(|_| Error::Memory(format!("{} images of {width} x {height}", channels.len())))?;
         let image = |&channels| VariantImage {
-            color: vec![S::default(); 3 * pixels],
-            transmittance: vec![S::default(); channels * pixels],
+            color: blank(3 * pixels),
+            transmittance: blank(channels * pixels),
             channels,
         };
         Ok(Self { width, height, images: channels.iter().map(image).collect() })
@@ -93,6 +94,12 @@ impl<S: Sample> Target<S> {
         }
         patches
     }
+}
+
+/// So many samples, cleared by all threads together.
+fn blank<S: Sample>(samples: usize) -> Vec<S> {
+    const RUN: usize = 1 << 16;
+    (0..samples).into_par_iter().with_min_len(RUN).map(|_| S::default()).collect()
 }
 
 /// A rectangle of all images, to be written by one thread.
