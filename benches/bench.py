@@ -1,4 +1,4 @@
-"""`make bench` and `make bench-full`: how fast oitlab is, against others, and how its time grows.
+"""`make bench` and `make bench-full`: how fast oitlab is beside others, how time grows, what memory it takes.
 
     python benches/bench.py peers skips          # what `make bench` runs
     python benches/bench.py                      # all parts
@@ -19,7 +19,8 @@ from pathlib import Path
 from harness import Run
 from peers import PEERS
 
-PARTS = {"peers": "against_peers", "pareto": "pareto", "scaling": "scaling", "skips": "skips"}
+PARTS = {"peers": "against_peers", "pareto": "pareto", "scaling": "scaling", "skips": "skips",
+         "memory": "memory"}  # fmt: skip
 
 
 def main() -> None:

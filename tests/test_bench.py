@@ -22,7 +22,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     command = [sys.executable, "-W", "error", str(BENCHES / "bench.py"), "--quick", "--output", str(folder)]
     finished = subprocess.run([*command, "--peers", "embree", "ppll"], capture_output=True, text=True)
     assert finished.returncode == 0, finished.stderr
-    parts = ("peers", "pareto", "scaling", "skips")
+    parts = ("peers", "pareto", "scaling", "skips", "memory")
     found = {part: json.loads((folder / f"{part}.json").read_text()) for part in parts}
     for part in parts:
         assert {"command", "date", "commit", "cpu", "cores", "versions"} <= found[part]["about"].keys()
@@ -87,3 +87,19 @@ def test_what_is_skipped_is_what_the_scene_lacks(bench: dict[str, Any]) -> None:
             "the same again",
         }
         assert row["lists_together_over_alone"] > 0.0
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="peaks of memory are read from /proc")
+def test_memory_is_measured_on_the_scene_that_was_built(bench: dict[str, Any]) -> None:
+    memory = bench["memory"]
+    assert memory["stack"] > 10_000
+    assert list(memory["layouts"]) == ["facing", "tilted"]
+    for techniques in memory["layouts"].values():
+        assert list(techniques) == ["a_buffer", "lwboit", "mlab"]
+        for row in techniques.values():
+            assert row["stack_max"] == memory["stack"]
+            assert row["depth_complexity_max"] == row["counted_max"] >= memory["stack"]
+            assert row["fragments"] == row["counted_fragments"]
+            assert 0 < row["peak_bytes"] < memory["limit_bytes"]
+            assert row["before_bytes"] > 0
+            assert row["within_limit"]
