@@ -17,7 +17,8 @@ pub const MIN_DEPTH: f32 = 1e-4;
 
 /// A weight function of depth and coverage that somebody else wrote.
 pub trait DepthWeight: Send + Sync {
-    /// Writes `weights[i] = w(depth[i], alpha[i])`. The slices have one length; `depth >= `[`MIN_DEPTH`].
+    /// Writes `weights[i] = w(depth[i], alpha[i])`. The slices have one length; `depth >= `[`MIN_DEPTH`]. Up to
+    /// seven more weights may be asked for than there are fragments, at depths that mean nothing.
     fn evaluate(&self, depth: &[f32], alpha: &[f32], weights: &mut [f32]);
 }
 

@@ -232,3 +232,15 @@ fn a_pixel_of_18_700_fragments_is_exact_and_parts_of_tiles_change_no_bit() {
     let parts = frames_with(Source::Scene(&scene), &[request("a_buffer", &[])], &options(4, 2, 1));
     assert!(parts[0].color == frame.color && parts[0].stats.fragments == frame.stats.fragments);
 }
+
+/// Quads with edges along the rows and far beyond the image.
+#[test]
+fn what_is_larger_than_the_image_fills_it() {
+    for size in [1.0, 1.05, 2.0, 80.0, 1e4] {
+        let half = 64.0 * size;
+        let quad = rectangle([-half, half], [-half, half], 0.0, [1.0, 0.5, 0.25, 0.5], Material::default());
+        let scene = scene(vec![quad], pixel_camera(128), 128, 128);
+        let images = depth_images(Source::Scene(&scene), &Options::default(), &|| false).unwrap();
+        assert!(images.fragment_count.iter().all(|&n| n == 1), "{size}");
+    }
+}

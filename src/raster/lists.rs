@@ -72,7 +72,7 @@ impl TileLists<'_> {
     }
 
     /// Distributes what arrived over the pixels, each pixel's in arrival order.
-    #[expect(clippy::cast_possible_truncation, reason = "a tile's budget is far below 2^32")]
+    #[expect(clippy::cast_possible_truncation, reason = "2^32 places are 32 GiB")]
     pub fn distribute(&mut self) {
         self.starts.clear();
         self.starts.push(0);

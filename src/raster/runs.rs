@@ -31,16 +31,16 @@ type Rows = [f64; ROWS];
 /// Adding and taking away again rounds to the nearest integer.
 const ROUND: f64 = 6_755_399_441_055_744.0; // 1.5 * 2^52
 
-/// Beyond any column.
-const FAR: f64 = 1e9;
+/// Beyond any column, that of the flattest edge's line far outside of the image included.
+const FAR: f64 = f64::INFINITY;
 
 /// One edge's line: the first pixel at or right of its crossing with a row, from the integers n and d > 0 of the
 /// crossing n / d.
 ///
 /// `ceil(n / d)` is what `(n - 1/2) / d + 1/2` rounds to. That is at least 1 / 2d from where rounding changes,
-/// and computed to within 2^-51 times the numbers on the way, the largest of which is r |dx| / |dy| with r rows,
-/// r |dx| < 2^40 and d = 256 |dy|: within the image no crossing is taken for its neighbour, and far outside of it
-/// none comes back in.
+/// and computed to within 2^-51 times the numbers on the way. Where the crossing is in the image those are no
+/// larger than 2^15 + r |dx| / |dy| with r rows, r |dx| < 2^40 and d = 256 |dy|, so that no crossing there is taken
+/// for its neighbour; one that is outside, which may be by 2^42 pixels, is not taken for one in the image.
 #[derive(Clone, Copy)]
 struct Edge {
     /// `(n - 1/2) / d + 1/2` at the first row, and from row to row.
@@ -53,7 +53,7 @@ struct Edge {
 
 impl Edge {
     /// The edge from `a` to `b` as seen from row `y` on; `sign` is that of the triangle's area. A horizontal
-    /// edge limits no row that the triangle's bounds leave.
+    /// edge has no crossings, and the triangle's bounds are limit enough.
     #[inline(always)]
     #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
     fn new(a: (i32, i32), b: (i32, i32), y: i32, sign: f64) -> Self {
@@ -65,8 +65,8 @@ impl Edge {
         let inverse = 1.0 / (f64::from(SUBPIXELS) * if flat { 1.0 } else { dy });
         let is_left = dy * sign < 0.0;
         Self {
-            at_first: (left_of * dy + below * dx - half) * inverse + 0.5,
-            step: f64::from(SUBPIXELS) * dx * inverse,
+            at_first: if flat { 0.0 } else { (left_of * dy + below * dx - half) * inverse + 0.5 },
+            step: if flat { 0.0 } else { f64::from(SUBPIXELS) * dx * inverse },
             on_left: if is_left { 0.0 } else { -FAR },
             on_right: if is_left || flat { FAR } else { 0.0 },
         }
@@ -274,5 +274,37 @@ mod tests {
             }
         }
         assert!(tinies > 1000 && full > 100, "{tinies} {full}");
+    }
+    /// The lines of edges that are flat or nearly so cross rows far outside of any image.
+    #[test]
+    fn flat_edges_limit_nothing_but_their_rows() {
+        let mut covered = 0;
+        for n in 0..4000_u32 {
+            let random = |k: u32, below: u32| (hash32(n, k, 3, 0, 0) % below).cast_signed();
+            let (x0, y0) = (random(0, 4000), random(1, 4000));
+            let rect = Rect { x0, y0, x1: x0 + 1 + random(2, 70), y1: y0 + 1 + random(3, 70) };
+            let wide = [1 << 12, 1 << 20, 1 << 23, (1 << 25) - (1 << 16)][n as usize % 4];
+            let left = x0 * 256 - random(4, wide / 2);
+            let top = y0 * 256 - random(5, 1 << 20) + random(6, 8000);
+            let tilt = random(7, 5) - 2;
+            let tip = (x0 * 256 + random(8, 20_000), rect.y1 * 256 + random(9, 1 << 20) - random(10, 9000));
+            let (a, b) = ((left, top), (left + wide.cast_signed(), top + tilt));
+            for t in [[a, b, tip], [b, a, tip], [(a.0, 2 * tip.1 - a.1), tip, (b.0, 2 * tip.1 - b.1)]] {
+                let area = doubled_area(&t);
+                let bounds = pixel_bounds(&t, &rect);
+                if area == 0 || bounds.x0 >= bounds.x1 || bounds.y0 >= bounds.y1 {
+                    continue;
+                }
+                let mut expected = 0;
+                spans(&t, &rect, |_, x0, x1| expected += (x1 - x0).cast_unsigned() as usize);
+                let sign = if area < 0 { -1.0 } else { 1.0 };
+                let mut runs = Vec::new();
+                assert_eq!(triangle_runs(t, sign, &rect, &bounds, &mut runs), expected, "{t:?} {rect:?}");
+                let all = bounds == rect && covers_all(t, sign, &rect);
+                assert_eq!(all, expected == rect.area(), "{t:?} {rect:?}");
+                covered += usize::from(expected > 0);
+            }
+        }
+        assert!(covered > 3000, "{covered}");
     }
 }

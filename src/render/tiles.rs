@@ -234,14 +234,16 @@ impl Job<'_> {
         }
         plan.sums.iter().zip(sums.nanos()).for_each(|(&v, nanos)| tally.streamed(v, nanos));
         for (variants, target) in [(&plan.blends, blend), (&plan.painters, painter)] {
+            let nanos = target.nanos() / variants.len().max(1) as u64;
             for &v in variants {
                 store(v, rect, patch, tally, pixels, |range, out| target.finish(range, background, out));
-                tally.streamed(v, target.nanos());
+                tally.streamed(v, nanos);
             }
         }
+        let nanos = over.nanos() / plan.overs.len().max(1) as u64;
         for &v in plan.overs.iter().filter(|_| over_fed) {
             store(v, rect, patch, tally, pixels, |range, out| over.finish(range, background, out));
-            tally.streamed(v, over.nanos());
+            tally.streamed(v, nanos);
             tally.variants[v].hidden_fragments += over.hidden();
         }
     }

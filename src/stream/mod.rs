@@ -15,12 +15,13 @@ use std::time::Instant;
 /// Times one call in so many, and scales: reading the clock costs as much as a small triangle.
 #[derive(Debug, Default)]
 pub struct Stopwatch {
-    calls: usize,
+    calls: u64,
+    timed: u64,
     nanos: u64,
 }
 
 impl Stopwatch {
-    const TIMED: usize = 64;
+    const TIMED: u64 = 64;
 
     /// To be handed to [`Stopwatch::stop`] when the work is done.
     fn start(&mut self) -> Option<Instant> {
@@ -31,13 +32,15 @@ impl Stopwatch {
 
     fn stop(&mut self, start: Option<Instant>) {
         if let Some(start) = start {
-            self.nanos += nanos_since(start) * Self::TIMED as u64;
+            self.timed += 1;
+            self.nanos += nanos_since(start);
         }
     }
 
     /// The time since the last look.
     fn take(&mut self) -> u64 {
-        std::mem::take(&mut self.nanos)
+        let Self { calls, timed, nanos } = std::mem::take(self);
+        nanos * calls / timed.max(1)
     }
 }
 
