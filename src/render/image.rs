@@ -4,7 +4,6 @@ use crate::error::{Error, Result};
 use crate::frame::Sample;
 use crate::raster::Rect;
 use crate::technique::{Finished, Resolved};
-use rayon::prelude::*;
 
 /// One variant's images.
 #[derive(Debug, Clone)]
@@ -35,8 +34,8 @@ impl<S: Sample> Target<S> {
         let room = Vec::<S>::new().try_reserve_exact(samples);
         room.map_err(|_| Error::Memory(format!("{} images of {width} x {height}", channels.len())))?;
         let image = |&channels| VariantImage {
-            color: blank(3 * pixels),
-            transmittance: blank(channels * pixels),
+            color: vec![S::default(); 3 * pixels],
+            transmittance: vec![S::default(); channels * pixels],
             channels,
         };
         Ok(Self { width, height, images: channels.iter().map(image).collect() })
@@ -94,12 +93,6 @@ impl<S: Sample> Target<S> {
         }
         patches
     }
-}
-
-/// So many samples, cleared by all threads together.
-fn blank<S: Sample>(samples: usize) -> Vec<S> {
-    const RUN: usize = 1 << 16;
-    (0..samples).into_par_iter().with_min_len(RUN).map(|_| S::default()).collect()
 }
 
 /// A rectangle of all images, to be written by one thread.
