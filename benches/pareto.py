@@ -85,6 +85,7 @@ def draw(results: dict[str, Any], run: Run) -> None:
 
     mpl.use("Agg")
     import matplotlib.pyplot as plt
+    from matplotlib.ticker import LogLocator, NullFormatter
 
     plot_style()
     figure, panels = plt.subplots(2, 3, figsize=(11, 7))
@@ -94,11 +95,15 @@ def draw(results: dict[str, Any], run: Run) -> None:
         axes.scatter(*zip(*spots.values(), strict=True), s=12, color="#777777")
         line = [spots[n] for n in row["pareto_front"]]
         axes.step(*zip(*line, strict=True), where="post", color="#0072B2", marker="o", markersize=4)
-        for n in row["pareto_front"]:
-            axes.annotate(n, spots[n], xytext=(4, 4), textcoords="offset points", fontsize=7, color="#0072B2")
+        for i, n in enumerate(row["pareto_front"]):
+            below = (4, -10 if i % 2 else 4)  # the next one on the front may be close by
+            axes.annotate(n, spots[n], xytext=below, textcoords="offset points", fontsize=7, color="#0072B2")
         axes.set(xscale="log", yscale="log", title=f"{name}, {row['fragments'] / 1e6:.3g} M fragments")
         axes.set(xlabel="milliseconds", ylabel="RMSE")
         axes.margins(0.15)
+        axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axes.xaxis.set_major_formatter(lambda x, _: f"{x:g}")
+        axes.xaxis.set_minor_formatter(NullFormatter())
     panels.flat[-1].axis("off")
     panels.flat[-1].text(0, 0.7, "Every technique, default params.\nBlue: the Pareto front.\n"
                          "Errors below 1e-7 are drawn at 1e-7.", fontsize=9)  # fmt: skip
