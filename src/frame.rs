@@ -1,8 +1,13 @@
 //! What a render gives back: images and what they cost.
 
+mod buffers;
+
+pub use buffers::Buffers;
+
 use crate::params::Params;
 use crate::technique::Finished;
 use multiversion::multiversion;
+use std::sync::Arc;
 
 /// A sample type of images.
 pub trait Sample: Copy + Send + Sync + Default + 'static {
@@ -15,6 +20,8 @@ pub trait Sample: Copy + Send + Sync + Default + 'static {
     fn store(pixels: &[Finished], colors: &mut [[Self; 3]], shares: &mut [Self]);
     /// Wraps a buffer of samples.
     fn wrap(samples: Vec<Self>) -> Image;
+    /// Where buffers come from, and where they go when nobody needs them any more.
+    fn buffers() -> &'static Buffers<Self>;
 }
 
 impl Sample for f32 {
@@ -29,6 +36,10 @@ impl Sample for f32 {
     }
     fn wrap(samples: Vec<Self>) -> Image {
         Image::F32(samples)
+    }
+    fn buffers() -> &'static Buffers<Self> {
+        static BUFFERS: Buffers<f32> = Buffers::new();
+        &BUFFERS
     }
 }
 
@@ -47,6 +58,10 @@ impl Sample for f64 {
     fn wrap(samples: Vec<Self>) -> Image {
         Image::F64(samples)
     }
+    fn buffers() -> &'static Buffers<Self> {
+        static BUFFERS: Buffers<f64> = Buffers::new();
+        &BUFFERS
+    }
 }
 
 #[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
@@ -63,13 +78,22 @@ fn store_f32(pixels: &[Finished], colors: &mut [[f32; 3]], shares: &mut [f32]) {
     }
 }
 
-/// Samples of an image, row by row from the top, channels together.
+/// Samples of an image, row by row from the top, channels together. Their memory is used again afterwards.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Image {
     /// Single precision.
     F32(Vec<f32>),
     /// Double precision.
     F64(Vec<f64>),
+}
+
+impl Drop for Image {
+    fn drop(&mut self) {
+        match self {
+            Self::F32(samples) => f32::buffers().give_back(std::mem::take(samples)),
+            Self::F64(samples) => f64::buffers().give_back(std::mem::take(samples)),
+        }
+    }
 }
 
 /// One technique's image of a scene.
@@ -83,10 +107,10 @@ pub struct Frame {
     pub width: u32,
     /// Rows.
     pub height: u32,
-    /// Linear RGB.
-    pub color: Image,
+    /// Linear RGB; shared by the frames of equal requests.
+    pub color: Arc<Image>,
     /// The background's share: one channel, or three for coloured transmission.
-    pub transmittance: Image,
+    pub transmittance: Arc<Image>,
     /// 1 or 3.
     pub transmittance_channels: usize,
     /// What it took.

@@ -4,7 +4,6 @@ pub mod continuum;
 pub mod error;
 pub mod fragments;
 pub mod frame;
-pub mod lanes;
 pub mod order;
 pub mod params;
 #[cfg(feature = "python")]

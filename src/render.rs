@@ -22,10 +22,10 @@ use crate::resolve::{Context, Resolver, Variant, nanos_since};
 use crate::scene::Scene;
 use crate::technique::{Batch, DepthComplexity, Info};
 use crate::techniques::find;
-use image::{Patch, Target};
+use image::{BackgroundRow, Patch, Target, VariantImage};
 use plan::Plan;
 use rayon::prelude::*;
-use std::sync::Mutex;
+use std::sync::{Arc, Mutex};
 use std::time::Instant;
 use tally::Tally;
 
@@ -231,6 +231,7 @@ impl<'a> Job<'a> {
     /// Rasterises and resolves tile by tile.
     fn scene<S: Sample>(&self, raster: &Raster<'_>, mut target: Target<S>) -> Result<Finished<S>> {
         let workers = Workers::default();
+        let nothing = BackgroundRow::new(raster.background(), self.options.tile_size as usize);
         let columns = raster.columns();
         let places = (0..raster.rows() * columns).map(|tile| (tile % columns, tile / columns));
         let rects = places.map(|(column, row)| raster.rect(column, row));
@@ -240,8 +241,8 @@ impl<'a> Job<'a> {
             .enumerate()
             .map(|(tile, mut patch)| {
                 let place = (tile % columns, tile / columns);
-                workers
-                    .with(|| tiles::Worker::new(self), |worker| self.tile(raster, place, &mut patch, worker))
+                let work = |worker: &mut _| self.tile(raster, place, &nothing, &mut patch, worker);
+                workers.with(|| tiles::Worker::new(self), work)
             })
             .reduce(|| Tally::new(self.variants.len()), |a, b| a.merge(&b));
         if (self.stop)() { Err(Error::Cancelled) } else { Ok(Finished { target, tally }) }
@@ -252,7 +253,7 @@ impl<'a> Job<'a> {
         let rows = fragments.lists.as_ref();
         let ends = run_ends(fragments, PIECE_PIXELS, self.options.max_fragments);
         let workers = Workers::default();
-        let new_worker = || (Resolver::default(), vec![Vec::new(); self.variants.len()]);
+        let new_worker = || (Resolver::default(), vec![Vec::new(); self.variants.len()], Vec::new());
         let run = |(first, mut patch): (usize, Patch<'_, S>)| {
             let rect = patch.rect();
             let last = first + rect.width();
@@ -267,13 +268,15 @@ impl<'a> Job<'a> {
                 sorted: None,
                 background: &background,
             };
-            workers.with(new_worker, |(resolver, resolved)| {
+            workers.with(new_worker, |(resolver, resolved, counts)| {
                 let mut tally = Tally::new(self.variants.len());
+                counts.clear();
                 #[expect(
                     clippy::cast_possible_truncation,
                     reason = "a pixel's list is far shorter than 2^32"
                 )]
-                tally.count((first..last).map(|i| rows.count(i) as u32));
+                counts.extend((first..last).map(|i| rows.count(i) as u32));
+                tally.count(counts);
                 resolver.run(&self.context(&self.plan.listed), &batch, 0, resolved, &mut tally.variants);
                 resolved.iter().enumerate().for_each(|(v, pixels)| patch.store(v, &rect, 0, pixels));
                 tally
@@ -290,24 +293,24 @@ impl<'a> Job<'a> {
     fn frames<S: Sample>(&self, finished: Finished<S>, clock: &Clock) -> Vec<Frame> {
         let Finished { target, tally } = finished;
         let (width, height) = (target.width, target.height);
-        let mut images: Vec<_> = target.images.into_iter().map(Some).collect();
+        let share = |image: VariantImage<S>| {
+            (Arc::new(S::wrap(image.color)), Arc::new(S::wrap(image.transmittance)), image.channels)
+        };
+        let images: Vec<_> = target.images.into_iter().map(share).collect();
         let mut last_use = vec![0; images.len()];
         for (request, (variant, _)) in self.answers.iter().enumerate() {
             last_use[*variant] = request;
         }
         let answer = |(request, (index, params)): (usize, &(usize, Params))| {
-            // only the last of several equal requests can take the buffers; the others copy them
-            let image =
-                if last_use[*index] == request { images[*index].take() } else { images[*index].clone() };
-            let image = image.unwrap_or_else(|| unreachable!("taken at the last use alone"));
+            let (color, transmittance, transmittance_channels) = &images[*index];
             Frame {
                 technique: self.variants[*index].info.id,
                 params: params.clone(),
                 width,
                 height,
-                color: S::wrap(image.color),
-                transmittance: S::wrap(image.transmittance),
-                transmittance_channels: image.channels,
+                color: Arc::clone(color),
+                transmittance: Arc::clone(transmittance),
+                transmittance_channels: *transmittance_channels,
                 stats: self.stats(*index, last_use[*index] != request, &tally, clock, width, height),
             }
         };

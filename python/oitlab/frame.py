@@ -81,9 +81,9 @@ class Frame:
 
     Parameters
     ----------
-    color : (H, W, 3) float32 or float64
+    color : (H, W, 3) float32 or float64, or a function that gives it
         Linear RGB (Rec. 709 primaries, D65), background included.
-    transmittance : (H, W) or (H, W, 3), dtype of `color`
+    transmittance : (H, W) or (H, W, 3), dtype of `color`, or a function that gives it
         The background's share, as the technique has it.
     technique : str
         The technique's id; aliases are resolved.
@@ -111,8 +111,8 @@ class Frame:
     def __init__(
         self,
         *,
-        color: Floats,
-        transmittance: Floats,
+        color: Later[Floats],
+        transmittance: Later[Floats],
         technique: str,
         params: dict[str, Any],
         scene_hash: Later[str],
@@ -120,8 +120,8 @@ class Frame:
         first_depth: Later[NDArray[np.float32]],
         fragment_count: Later[NDArray[np.uint32]],
     ) -> None:
-        self._color = color
-        self._transmittance = transmittance
+        self._color = _Cell(color)
+        self._transmittance = _Cell(transmittance)
         self._technique = technique
         self._params = params
         self._scene_hash = _Cell(scene_hash)
@@ -132,12 +132,12 @@ class Frame:
     @property
     def color(self) -> Floats:
         """(H, W, 3) linear RGB, background included."""
-        return self._color
+        return self._color.get()
 
     @property
     def transmittance(self) -> Floats:
         """(H, W) or (H, W, 3): the background's share."""
-        return self._transmittance
+        return self._transmittance.get()
 
     @property
     def technique(self) -> str:

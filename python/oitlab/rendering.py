@@ -189,8 +189,8 @@ def _is_float64(dtype: Any) -> bool:
 
 def _frame(raw: _oitlab.Frame) -> Frame:
     return Frame(
-        color=raw.color,
-        transmittance=raw.transmittance,
+        color=lambda: raw.color,
+        transmittance=lambda: raw.transmittance,
         technique=raw.technique,
         params=raw.params,
         scene_hash=lambda: raw.source_hash,

@@ -1,7 +1,6 @@
 //! The accumulator of blended techniques: weighted sums and a product, as render targets hold them.
 
 use crate::fragments::List;
-use crate::lanes::{Group, LANES, at};
 use crate::technique::{Finished, Resolved};
 use crate::weight::Weighting;
 use glam::{DVec3, Vec3, Vec4};
@@ -76,11 +75,13 @@ impl BlendSums {
         (alpha > 0.0).then(|| self.color() / alpha)
     }
 
-    /// MB13 eq. 6: the average covers 1 − R of the background.
+    /// MB13 eq. 6: the average covers 1 − R of the background. One division for all channels.
     pub fn over(&self, background: DVec3) -> Resolved {
-        match self.average() {
-            Some(average) => self.cover(average, background),
-            None => Resolved::background(background),
+        let alpha = self.alpha();
+        if alpha > 0.0 {
+            blend(self.color(), self.coverage() / alpha, self.transmittance, background)
+        } else {
+            Resolved::background(background)
         }
     }
 
@@ -109,91 +110,61 @@ impl BlendSums {
 #[derive(Debug, Clone, Copy)]
 pub struct SumsOf<'a> {
     /// Σ w (r, g, b, a).
-    pub weighted: &'a [Group<[f32; 4]>],
+    pub weighted: &'a [[f32; 4]],
     /// R.
-    pub transmittance: &'a [Group<f64>],
+    pub transmittance: &'a [f64],
     /// 1 − R of the faint fragments.
-    pub coverage: &'a [Group<f64>],
+    pub coverage: &'a [f64],
     /// Fragments per pixel.
-    pub counts: &'a [Group<u32>],
+    pub counts: &'a [u32],
     /// The opaque colours behind them, one per pixel.
     pub background: &'a [[f32; 3]],
-    /// Whether they are known to be one colour.
-    pub one_background: bool,
 }
 
 impl SumsOf<'_> {
     /// [`BlendSums::over`] for all pixels: its arithmetic, operation by operation.
     pub fn over(&self, out: &mut Vec<Finished>) {
         out.resize(self.background.len(), [0.0; 4]);
-        over_all(self, out);
+        self.find_shares(out);
+        self.cover(out);
+    }
+
+    /// What to multiply the sum of colours with, (1 − R) / Σ w a, and R; nothing and 1 where nothing covers. They
+    /// wait in the first and the last channel.
+    fn find_shares(&self, out: &mut [Finished]) {
+        find_shares(self.weighted, self.transmittance, self.coverage, out);
+    }
+
+    fn cover(&self, out: &mut [Finished]) {
+        cover(self.weighted, self.background, out);
     }
 }
 
 #[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
-fn over_all(pixels: &SumsOf<'_>, out: &mut [Finished]) {
-    let one_background = pixels.one_background;
-    let groups = pixels.weighted.iter().zip(pixels.transmittance).zip(pixels.coverage);
-    let pixels = pixels.background.chunks(LANES).zip(out.chunks_mut(LANES));
-    for (((sums, transmittance), coverage), (background, out)) in groups.zip(pixels) {
-        // neighbours on the same surfaces are alike: once for all is enough
-        let alike = are_alike_f64(&transmittance.0) && are_alike(&sums.0) && are_alike_f64(&coverage.0);
-        if alike && (one_background || background.iter().all(|color| *color == background[0])) {
-            let pixel = over_one(sums.0[0], transmittance.0[0], coverage.0[0], background[0]);
-            out.iter_mut().for_each(|out| *out = pixel);
-            continue;
-        }
-        for (lane, (background, out)) in background.iter().zip(out).enumerate() {
-            *out = over_one(sums.0[lane], transmittance.0[lane], coverage.0[lane], *background);
-        }
+fn find_shares(weighted: &[[f32; 4]], transmittance: &[f64], coverage: &[f64], out: &mut [Finished]) {
+    for (((sums, t), coverage), out) in weighted.iter().zip(transmittance).zip(coverage).zip(out) {
+        let alpha = f64::from(if sums[3] < f32::MAX { sums[3] } else { f32::MAX });
+        let covers = alpha > 0.0;
+        let of_average = precise_coverage(*t, *coverage) / alpha;
+        out[0] = if covers { of_average } else { 0.0 };
+        out[3] = if covers { *t } else { 1.0 };
     }
 }
 
-/// Whether all pixels of a group have the same sums, to the bit.
-#[inline(always)]
-#[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
-fn are_alike(sums: &[[f32; 4]; LANES]) -> bool {
-    let mut difference = [[0; 4]; LANES];
-    for lane in 0..LANES {
-        for channel in 0..4 {
-            difference[lane][channel] = sums[lane][channel].to_bits() ^ sums[0][channel].to_bits();
-        }
-    }
-    let mut any = [0; 4];
-    for lane in difference {
-        for channel in 0..4 {
-            any[channel] |= lane[channel];
-        }
-    }
-    any == [0; 4]
-}
-
-#[inline(always)]
-#[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
-fn are_alike_f64(numbers: &[f64; LANES]) -> bool {
-    let mut difference = [0; LANES];
-    for lane in 0..LANES {
-        difference[lane] = numbers[lane].to_bits() ^ numbers[0].to_bits();
-    }
-    difference.iter().fold(0, |any, bits| any | bits) == 0
-}
-
-/// [`BlendSums::over`] of one pixel; the fourth channel comes out as the background's share.
-#[inline(always)]
-#[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
-fn over_one([r, g, b, alpha]: [f32; 4], t: f64, coverage: f64, background: [f32; 3]) -> Finished {
+/// The fourth channel comes out as the background's share.
+#[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
+fn cover(weighted: &[[f32; 4]], background: &[[f32; 3]], out: &mut [Finished]) {
     let largest = f64::from(f32::MAX);
-    let coverage = precise_coverage(t, coverage);
-    let alpha = f64::from(if alpha < f32::MAX { alpha } else { f32::MAX });
-    let (color, behind) = ([r, g, b, 0.0], [background[0], background[1], background[2], 1.0]);
-    let mut pixel = [0.0; 4];
-    for channel in 0..4 {
-        let sum = f64::from(if color[channel] < f32::MAX { color[channel] } else { f32::MAX });
-        let blended = coverage * (sum / alpha) + t * f64::from(behind[channel]);
-        let blended = if blended < largest { blended } else { largest };
-        pixel[channel] = if alpha > 0.0 { blended } else { f64::from(behind[channel]) };
+    for ((sums, background), out) in weighted.iter().zip(background).zip(out) {
+        let (share, t) = (out[0], out[3]);
+        let color = [sums[0], sums[1], sums[2], 0.0];
+        let behind = [background[0], background[1], background[2], 1.0];
+        for channel in 0..4 {
+            let sum = f64::from(if color[channel] < f32::MAX { color[channel] } else { f32::MAX });
+            let blended = share * sum + t * f64::from(behind[channel]);
+            out[channel] = if blended < largest { blended } else { largest };
+        }
     }
-    pixel
 }
 
 /// A technique that is nothing but [`BlendSums`] over all fragments, in any order.
@@ -233,11 +204,11 @@ pub trait Blended: Send + Sync {
 pub fn finish_each<T: Blended + ?Sized>(technique: &T, pixels: &SumsOf<'_>, out: &mut Vec<Finished>) {
     out.clear();
     out.extend(pixels.background.iter().enumerate().map(|(i, &background)| {
-        let count = at(pixels.counts, i);
+        let count = pixels.counts[i];
         let sums = BlendSums {
-            weighted: Vec4::from(at(pixels.weighted, i)),
-            transmittance: at(pixels.transmittance, i),
-            coverage: at(pixels.coverage, i),
+            weighted: Vec4::from(pixels.weighted[i]),
+            transmittance: pixels.transmittance[i],
+            coverage: pixels.coverage[i],
         };
         let background = Vec3::from(background).as_dvec3();
         let resolved = match count {

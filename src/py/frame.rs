@@ -1,11 +1,13 @@
-//! Frames: images move into NumPy without a copy, on first access.
+//! Frames: images are shared with NumPy without a copy, on first access.
 
+use super::arrays::image;
 use super::convert::value;
 use super::run::AnySource;
-use crate::frame::{Frame, Image};
+use crate::frame::Frame;
 use crate::render::DepthImages;
 use numpy::{PyArray1, PyArrayMethods};
 use pyo3::prelude::*;
+use pyo3::sync::PyOnceLock;
 use pyo3::types::PyDict;
 use std::sync::OnceLock;
 
@@ -15,27 +17,16 @@ pub struct PyFrame {
     frame: Frame,
     source: AnySource,
     depth: OnceLock<DepthImages>,
-    color: Py<PyAny>,
-    transmittance: Py<PyAny>,
-}
-
-/// The buffer as an array of the given shape.
-fn image<'py>(py: Python<'py>, samples: Image, shape: &[usize]) -> PyResult<Bound<'py, PyAny>> {
-    Ok(match samples {
-        Image::F32(samples) => PyArray1::from_vec(py, samples).reshape(shape)?.into_any(),
-        Image::F64(samples) => PyArray1::from_vec(py, samples).reshape(shape)?.into_any(),
-    })
+    /// The images, once somebody looked at them.
+    color: PyOnceLock<Py<PyAny>>,
+    transmittance: PyOnceLock<Py<PyAny>>,
 }
 
 impl PyFrame {
-    /// A frame of `source`, its images handed over to NumPy.
-    pub fn new(py: Python<'_>, mut frame: Frame, source: AnySource) -> PyResult<Self> {
-        let (h, w) = (frame.height as usize, frame.width as usize);
-        let take = |image: &mut Image| std::mem::replace(image, Image::F32(Vec::new()));
-        let color = image(py, take(&mut frame.color), &[h, w, 3])?.unbind();
-        let shape: &[usize] = if frame.transmittance_channels == 3 { &[h, w, 3] } else { &[h, w] };
-        let transmittance = image(py, take(&mut frame.transmittance), shape)?.unbind();
-        Ok(Self { frame, source, depth: OnceLock::new(), color, transmittance })
+    /// A frame of `source`.
+    pub fn new(frame: Frame, source: AnySource) -> Self {
+        let (color, transmittance) = (PyOnceLock::new(), PyOnceLock::new());
+        Self { frame, source, depth: OnceLock::new(), color, transmittance }
     }
 }
 
@@ -70,12 +61,17 @@ impl PyFrame {
         py.detach(|| self.source.content_hash())
     }
     #[getter]
-    fn color(&self, py: Python<'_>) -> Py<PyAny> {
-        self.color.clone_ref(py)
+    fn color(&self, py: Python<'_>) -> PyResult<Py<PyAny>> {
+        let shape = [self.frame.height as usize, self.frame.width as usize, 3];
+        let array = || image(py, &self.frame.color, &shape).map(Bound::unbind);
+        self.color.get_or_try_init(py, array).map(|array| array.clone_ref(py))
     }
     #[getter]
-    fn transmittance(&self, py: Python<'_>) -> Py<PyAny> {
-        self.transmittance.clone_ref(py)
+    fn transmittance(&self, py: Python<'_>) -> PyResult<Py<PyAny>> {
+        let shape = [self.frame.height as usize, self.frame.width as usize, 3];
+        let shape = if self.frame.transmittance_channels == 3 { &shape[..] } else { &shape[..2] };
+        let array = || image(py, &self.frame.transmittance, shape).map(Bound::unbind);
+        self.transmittance.get_or_try_init(py, array).map(|array| array.clone_ref(py))
     }
     #[getter]
     fn first_depth<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {

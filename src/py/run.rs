@@ -135,7 +135,7 @@ pub fn render<'py>(
         let run = if float64 { core::render::<f64> } else { core::render::<f32> };
         run(shared.as_source(), &requests, &options, stop)
     })?;
-    frames.into_iter().map(|frame| PyFrame::new(py, frame, source.share())).collect()
+    Ok(frames.into_iter().map(|frame| PyFrame::new(frame, source.share())).collect())
 }
 
 /// The fragments of every pixel of a scene.

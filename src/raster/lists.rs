@@ -4,13 +4,12 @@
 //! eight lists are sorted at once. What is missing is [`NOTHING`], which sorts behind everything.
 
 use super::cover::Rect;
-use super::interpolate::Surface;
+use super::interpolate::{LANES, Surface};
 use super::network::{NOTHING, Row, sort_columns};
 use super::runs::Run;
 use super::shade::{Paint, Premultiplied};
 use super::tile::{Cover, Sink, pixel_at};
 use crate::fragments::{Fragment, Lists};
-use crate::lanes::LANES;
 use crate::order::sort_key;
 
 /// Collects a tile's fragments in submission order.
@@ -187,8 +186,6 @@ fn unpack(packed: f64) -> (f32, usize) {
 }
 
 impl<'r> Sink<'r> for TileLists<'r> {
-    const BLOCKS: bool = false;
-
     #[inline(always)]
     #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
     fn take(&mut self, cover: &Cover<'_, 'r>) -> bool {

@@ -14,6 +14,7 @@ mod tile;
 mod visit;
 
 pub use cover::Rect;
+pub use interpolate::LANES;
 pub use lists::TileLists;
 pub use network::{NOTHING, Row};
 pub use occlusion::Opaque;

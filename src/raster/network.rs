@@ -1,7 +1,7 @@
 //! Eight lists sorted at once: a list is a column of rows of eight numbers, and a sorting network compares whole
 //! rows.
 
-use crate::lanes::LANES;
+use super::interpolate::LANES;
 use multiversion::multiversion;
 use std::hint::black_box;
 

@@ -9,7 +9,6 @@ use super::runs::{Run, covers_all, is_tiny, tiny_runs, triangle_runs};
 use super::setup::{Chunk, Primitive, pixel_bounds};
 use super::shade::{Paint, Shade};
 use super::visit::{Order, Visits};
-use crate::lanes::{Block, push_blocks};
 use multiversion::multiversion;
 
 /// The visible pixels of one transparent primitive in a tile.
@@ -23,8 +22,6 @@ pub struct Cover<'a, 'r> {
     pub pixels: usize,
     /// The indices of all pixels in the tile, run after run, if they are few; empty otherwise.
     pub places: &'a [u32],
-    /// The runs as blocks, if there are many pixels; empty otherwise.
-    pub blocks: &'a [Block],
     /// The depth of every pixel, run after run; empty if it is constant. There are [`LANES`] more numbers than
     /// pixels, finite ones.
     pub depth: &'a [f32],
@@ -45,9 +42,6 @@ impl Cover<'_, '_> {
 
 /// What becomes of a tile's transparent fragments.
 pub trait Sink<'r> {
-    /// Whether many pixels are wanted as blocks, too.
-    const BLOCKS: bool;
-
     /// Takes a primitive's pixels; false to be given no more.
     fn take(&mut self, cover: &Cover<'_, 'r>) -> bool;
 }
@@ -81,11 +75,8 @@ pub struct Tile {
     kept: Vec<Run>,
     depth: Vec<f32>,
     few: Pixels,
-    blocks: Vec<Block>,
-    /// The runs and blocks of all pixels, and whether they are those of the primitive at hand.
+    /// The runs of all pixels.
     full_runs: Vec<Run>,
-    full_blocks: Vec<Block>,
-    is_full: bool,
 }
 
 impl Tile {
@@ -118,14 +109,11 @@ impl Tile {
     fn set_rect(&mut self, rect: Rect) {
         self.rect = rect;
         self.full_runs.clear();
-        self.full_blocks.clear();
         #[expect(clippy::cast_possible_truncation, reason = "pixels of a tile")]
         for y in rect.y0..rect.y1 {
             let (first, len) = (index_in(&rect, rect.x0, y) as u32, rect.width() as u32);
             self.full_runs.push(Run { x: rect.x0, y, first, len });
         }
-        #[expect(clippy::cast_possible_truncation, reason = "pixels of a tile")]
-        push_blocks(0, rect.area() as u32, &mut self.full_blocks);
     }
 
     /// The opaque surfaces and what else is behind each pixel.
@@ -211,7 +199,7 @@ impl Tile {
         sink: &mut K,
     ) -> bool {
         let constant_depth = surface.constant_depth();
-        self.list_places::<K>(pixels);
+        self.list_places(pixels);
         if constant_depth.is_none() {
             self.depths(surface, pixels);
         }
@@ -228,14 +216,13 @@ impl Tile {
             return true;
         }
         if pixels != all {
-            self.list_places::<K>(pixels);
+            self.list_places(pixels);
         }
         sink.take(&Cover {
             primitive,
             runs: &self.runs,
             pixels,
             places: self.few.places(),
-            blocks: &self.blocks,
             depth: if constant_depth.is_some() { &[] } else { &self.depth[..pixels + LANES] },
             constant_depth,
             surface,
@@ -249,7 +236,6 @@ impl Tile {
     fn cover(&mut self, primitive: Primitive<'_>) -> usize {
         let (rect, runs) = (self.rect, &mut self.runs);
         runs.clear();
-        self.is_full = false;
         match primitive {
             Primitive::Triangle(triangle) => {
                 let points = triangle.points();
@@ -263,7 +249,6 @@ impl Tile {
                 }
                 let sign = f64::from(sign);
                 if bounds == rect && covers_all(points, sign, &rect) {
-                    self.is_full = true;
                     runs.extend_from_slice(&self.full_runs);
                     return rect.area();
                 }
@@ -286,18 +271,13 @@ impl Tile {
         }
     }
 
-    /// The runs' pixels one by one, or block by block if they are many.
+    /// The runs' pixels one by one, if they are few.
     #[inline(always)]
     #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
-    fn list_places<'r, K: Sink<'r>>(&mut self, pixels: usize) {
+    fn list_places(&mut self, pixels: usize) {
         self.few.clear();
-        self.blocks.clear();
         if pixels <= FEW {
             self.few.list(&self.runs);
-        } else if K::BLOCKS && self.is_full && pixels == self.rect.area() {
-            self.blocks.extend_from_slice(&self.full_blocks);
-        } else if K::BLOCKS {
-            self.runs.iter().for_each(|run| push_blocks(run.first, run.len, &mut self.blocks));
         }
     }
 

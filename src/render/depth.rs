@@ -48,8 +48,6 @@ struct TileDepth {
 }
 
 impl<'r> Sink<'r> for TileDepth {
-    const BLOCKS: bool = false;
-
     fn take(&mut self, cover: &Cover<'_, 'r>) -> bool {
         for (i, pixel) in cover.runs.iter().flat_map(|run| run.pixels()).enumerate() {
             let depth = cover.constant_depth.unwrap_or_else(|| cover.depth[i]);

@@ -23,22 +23,21 @@ pub struct Target<S> {
 }
 
 impl<S: Sample> Target<S> {
-    /// Buffers for variants whose transmittances have the given numbers of channels.
+    /// Images for variants whose transmittances have the given numbers of channels; what is in them is left of
+    /// others.
     ///
     /// # Errors
     /// [`Error::Memory`] where there is no room for them.
     pub fn new(width: u32, height: u32, channels: &[usize]) -> Result<Self> {
         let pixels = width as usize * height as usize;
-        let samples = channels.iter().map(|c| (3 + c) * pixels).sum::<usize>();
-        // a failing vec! would abort
-        let room = Vec::<S>::new().try_reserve_exact(samples);
-        room.map_err(|_| Error::Memory(format!("{} images of {width} x {height}", channels.len())))?;
-        let image = |&channels| VariantImage {
-            color: vec![S::default(); 3 * pixels],
-            transmittance: vec![S::default(); channels * pixels],
-            channels,
+        let image = |&channels: &usize| {
+            let color = S::buffers().take(3 * pixels)?;
+            let transmittance = S::buffers().take(channels * pixels)?;
+            Some(VariantImage { color, transmittance, channels })
         };
-        Ok(Self { width, height, images: channels.iter().map(image).collect() })
+        let images = channels.iter().map(image).collect::<Option<_>>();
+        let fault = || Error::Memory(format!("{} images of {width} x {height}", channels.len()));
+        Ok(Self { width, height, images: images.ok_or_else(fault)? })
     }
 
     /// The buffers cut into square tiles, row by row of tiles.
@@ -163,12 +162,26 @@ impl<S: Sample> Patch<'_, S> {
         }
     }
 
-    /// Fills everything with the background.
-    pub fn clear(&mut self, background: [f32; 3]) {
-        let background = background.map(|c| S::from_f64(f64::from(c)));
+    /// Fills everything with the background, of which `row` is a row at least as long.
+    pub fn clear(&mut self, row: &BackgroundRow<S>) {
         for image in &mut self.images {
-            image.color.iter_mut().for_each(|row| row.as_chunks_mut().0.fill(background));
-            image.transmittance.iter_mut().for_each(|row| row.fill(S::from_f64(1.0)));
+            let rows = image.color.iter_mut().zip(&mut image.transmittance);
+            for (color, transmittance) in rows {
+                color.copy_from_slice(&row.color[..color.len()]);
+                transmittance.fill(S::from_f64(1.0));
+            }
         }
+    }
+}
+
+/// A row of pixels that nothing covers.
+pub struct BackgroundRow<S> {
+    color: Vec<S>,
+}
+
+impl<S: Sample> BackgroundRow<S> {
+    /// So many pixels.
+    pub fn new(background: [f32; 3], pixels: usize) -> Self {
+        Self { color: background.map(|c| S::from_f64(f64::from(c))).repeat(pixels) }
     }
 }

@@ -1,6 +1,5 @@
 //! Counts and times of a run, summed over tiles.
 
-use crate::lanes::{Group, LANES};
 use crate::raster::Occluded;
 use crate::resolve::VariantTally;
 use multiversion::multiversion;
@@ -28,18 +27,11 @@ impl Tally {
     }
 
     /// Counts pixels by their numbers of fragments.
-    pub fn count(&mut self, fragments: impl Iterator<Item = u32> + Clone) {
-        self.fragments += fragments.clone().map(u64::from).sum::<u64>();
-        self.deepest = self.deepest.max(fragments.clone().max().unwrap_or(0).into());
-        self.empty_pixels += fragments.map(|n| u64::from(n == 0)).sum::<u64>();
-    }
-
-    /// Counts pixels by their numbers of fragments, of which there are none in those beyond the last.
-    pub fn count_groups(&mut self, groups: &[Group<u32>], pixels: usize) {
-        let (fragments, deepest, empty) = count_groups(groups);
+    pub fn count(&mut self, counts: &[u32]) {
+        let (fragments, deepest, empty) = summarize(counts);
         self.fragments += fragments;
         self.deepest = self.deepest.max(deepest.into());
-        self.empty_pixels += empty - (groups.len() * LANES - pixels) as u64;
+        self.empty_pixels += empty;
     }
 
     /// Adds what a variant did while rasterising.
@@ -70,15 +62,12 @@ impl Tally {
 
 /// The sum, the largest, and how many are zero.
 #[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
-fn count_groups(groups: &[Group<u32>]) -> (u64, u32, u64) {
-    let (mut sums, mut deepest, mut empty) = ([0_u64; LANES], [0; LANES], [0_u64; LANES]);
-    for group in groups {
-        for lane in 0..LANES {
-            let n = group.0[lane];
-            sums[lane] += u64::from(n);
-            deepest[lane] = if n > deepest[lane] { n } else { deepest[lane] };
-            empty[lane] += u64::from(n == 0);
-        }
+fn summarize(counts: &[u32]) -> (u64, u32, u64) {
+    let (mut sum, mut largest, mut zeros) = (0, 0, 0);
+    for &n in counts {
+        sum += u64::from(n);
+        largest = if n > largest { n } else { largest };
+        zeros += u64::from(n == 0);
     }
-    (sums.iter().sum(), deepest.into_iter().max().unwrap_or(0), empty.iter().sum())
+    (sum, largest, zeros)
 }

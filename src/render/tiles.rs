@@ -1,7 +1,7 @@
 //! From tiles to pixels: each tile's transparent fragments go into running states, into lists or both, and from
 //! there through the techniques.
 
-use super::image::Patch;
+use super::image::{BackgroundRow, Patch};
 use super::tally::Tally;
 use super::{Job, part_end};
 use crate::fragments::Lists;
@@ -64,8 +64,6 @@ struct Collector<'a, 'r, 'v> {
 }
 
 impl<'r> Sink<'r> for Collector<'_, 'r, '_> {
-    const BLOCKS: bool = true;
-
     #[inline(always)]
     #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
     fn take(&mut self, cover: &Cover<'_, 'r>) -> bool {
@@ -91,6 +89,7 @@ impl Job<'_> {
         &self,
         raster: &'r Raster<'_>,
         tile: (usize, usize),
+        nothing: &BackgroundRow<S>,
         patch: &mut Patch<'_, S>,
         worker: &mut Worker<'r, '_>,
     ) -> Tally {
@@ -99,7 +98,7 @@ impl Job<'_> {
         if self.options.skip && raster.is_empty_tile(tile.0, tile.1) {
             tally.empty_tiles = 1;
             tally.empty_pixels = rect.area() as u64;
-            patch.clear(raster.background());
+            patch.clear(nothing);
         } else {
             self.part(raster, tile, rect, worker, patch, &mut tally);
         }
@@ -180,6 +179,7 @@ impl Job<'_> {
                 }
                 all => drawn.transparent(raster, tile, Order::Submission, all, stop),
             };
+            sums.flush();
             if lists_wanted && lists.is_over_budget() {
                 return Drawn::TooDeep;
             }
@@ -203,17 +203,13 @@ impl Job<'_> {
             return Drawn::Stopped;
         }
         tally.occluded.add(occluded.unwrap_or(drawn.occluded()));
-        if lists_wanted {
-            tally.count(lists.counts().iter().copied());
-        } else {
-            let groups = match () {
-                () if over_wanted => over.counts(),
-                () if !plan.sums.is_empty() => sums.counts(),
-                () if !plan.blends.is_empty() => blend.counts(),
-                () => painter.counts(),
-            };
-            tally.count_groups(groups, rect.area());
-        }
+        tally.count(match () {
+            () if lists_wanted => lists.counts(),
+            () if over_wanted => over.counts(),
+            () if !plan.sums.is_empty() => sums.counts(),
+            () if !plan.blends.is_empty() => blend.counts(),
+            () => painter.counts(),
+        });
         Drawn::Done { lists: lists_wanted, over: over_wanted }
     }
 

@@ -3,8 +3,7 @@
 //! The arithmetic per pixel is that of the techniques on lists, operation by operation, so that a scene and its
 //! capture agree to the bit.
 
-use super::{Stopwatch, flat_color, shade};
-use crate::lanes::{Block, Group, LANES, at, at_mut, attenuate_block, count_block, reset};
+use super::{Stopwatch, flat_color, reset, shade};
 use crate::raster::{Cover, Opaque, Premultiplied, Rect, Run, Sink};
 use crate::technique::Finished;
 use multiversion::multiversion;
@@ -13,8 +12,8 @@ use multiversion::multiversion;
 #[derive(Default)]
 pub struct TileOver {
     /// Red, green, blue, and the transmittance in front of what is to come.
-    planes: [Vec<Group<f64>>; 4],
-    counts: Vec<Group<u32>>,
+    planes: [Vec<f64>; 4],
+    counts: Vec<u32>,
     colors: Vec<Premultiplied>,
     skip: bool,
     /// Whether nothing behind can be seen in any pixel.
@@ -32,13 +31,11 @@ impl TileOver {
         let [r, g, b, transmittance] = &mut self.planes;
         [r, g, b].into_iter().for_each(|plane| reset(plane, rect.area(), 0.0));
         reset(transmittance, rect.area(), 1.0);
-        // nothing is to be seen beyond the last pixel
-        (rect.area()..transmittance.len() * LANES).for_each(|i| *at_mut(transmittance, i) = 0.0);
         reset(&mut self.counts, rect.area(), 0);
     }
 
-    /// Fragments per pixel; the last group may have pixels too many, without fragments.
-    pub fn counts(&self) -> &[Group<u32>] {
+    /// Fragments per pixel.
+    pub fn counts(&self) -> &[u32] {
         &self.counts
     }
 
@@ -55,8 +52,6 @@ impl TileOver {
 }
 
 impl<'r> Sink<'r> for TileOver {
-    const BLOCKS: bool = true;
-
     #[inline(always)]
     #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
     fn take(&mut self, cover: &Cover<'_, 'r>) -> bool {
@@ -82,7 +77,7 @@ impl TileOver {
             return;
         }
         if let (Some(color), false) = (flat_color(cover), cover.is_small()) {
-            over_flat(cover.blocks, color, &mut self.planes, &mut self.counts);
+            over_flat(cover.runs, color, &mut self.planes, &mut self.counts);
             self.covered = self.skip && color[3] == 1.0 && self.nothing_shows();
             return;
         }
@@ -90,9 +85,9 @@ impl TileOver {
         shade(cover, &mut self.colors);
         let [planes @ .., transmittance] = &mut self.planes;
         for (i, color) in cover.runs.iter().flat_map(|run| run.pixels()).zip(&self.colors) {
-            let t = at_mut(transmittance, i);
+            let t = &mut transmittance[i];
             for (plane, &channel) in planes.iter_mut().zip(color) {
-                *at_mut(plane, i) += *t * f64::from(channel);
+                plane[i] += *t * f64::from(channel);
             }
             *t *= 1.0 - f64::from(color[3]);
         }
@@ -100,19 +95,19 @@ impl TileOver {
 
     /// Whether every pixel is covered.
     fn nothing_shows(&self) -> bool {
-        self.planes[3].iter().all(|group| group.0.iter().all(|t| *t == 0.0))
+        self.planes[3].iter().all(|t| *t == 0.0)
     }
 }
 
 #[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
 fn over_background(
-    [r, g, b, t]: &[Vec<Group<f64>>; 4],
+    [r, g, b, t]: &[Vec<f64>; 4],
     first: usize,
     background: &[[f32; 3]],
     out: &mut [Finished],
 ) {
     for (i, (background, out)) in (first..).zip(background.iter().zip(out)) {
-        let (layers, t) = ([at(r, i), at(g, i), at(b, i), 0.0], at(t, i));
+        let (layers, t) = ([r[i], g[i], b[i], 0.0], t[i]);
         *out = put_behind(layers, t, *background);
     }
 }
@@ -129,56 +124,42 @@ fn put_behind(layers: [f64; 4], transmittance: f64, [r, g, b]: [f32; 3]) -> Fini
     pixel
 }
 
-fn count(runs: &[Run], counts: &mut [Group<u32>]) {
+fn count(runs: &[Run], counts: &mut [u32]) {
     for pixel in runs.iter().flat_map(|run| run.pixels()) {
-        *at_mut(counts, pixel) += 1;
+        counts[pixel] += 1;
     }
 }
 
 #[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
-fn over_flat(
-    blocks: &[Block],
-    color: Premultiplied,
-    planes: &mut [Vec<Group<f64>>; 4],
-    counts: &mut [Group<u32>],
-) {
+fn over_flat(runs: &[Run], color: Premultiplied, planes: &mut [Vec<f64>; 4], counts: &mut [u32]) {
     let color = [f64::from(color[0]), f64::from(color[1]), f64::from(color[2]), f64::from(color[3])];
     let left = 1.0 - color[3];
     let [r, g, b, transmittance] = planes;
-    for &block in blocks {
-        let (group, ones) = (block.index(), block.ones());
-        let t = transmittance[group].0;
-        let (mut share, mut behind) = ([0.0; LANES], [0.0; LANES]);
-        for lane in 0..LANES {
-            let inside = f64::from(ones[lane]);
-            share[lane] = t[lane] * inside;
-            behind[lane] = t[lane] - share[lane] + share[lane] * left;
-        }
-        transmittance[group].0 = behind;
-        add(&mut r[group].0, &share, color[0]);
-        add(&mut g[group].0, &share, color[1]);
-        add(&mut b[group].0, &share, color[2]);
-        count_block(&mut counts[group].0, &ones);
+    for run in runs {
+        let transmittance = &mut transmittance[run.pixels()];
+        add(&mut r[run.pixels()], transmittance, color[0]);
+        add(&mut g[run.pixels()], transmittance, color[1]);
+        add(&mut b[run.pixels()], transmittance, color[2]);
+        transmittance.iter_mut().for_each(|t| *t *= left);
+        counts[run.pixels()].iter_mut().for_each(|n| *n += 1);
     }
 }
 
 #[inline(always)]
 #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
-fn add(plane: &mut [f64; LANES], share: &[f64; LANES], channel: f64) {
-    let mut sum = *plane;
-    for lane in 0..LANES {
-        sum[lane] += share[lane] * channel;
+fn add(plane: &mut [f64], share: &[f64], channel: f64) {
+    for (sum, share) in plane.iter_mut().zip(share) {
+        *sum += share * channel;
     }
-    *plane = sum;
 }
 
 /// Alpha compositing of a tile, in the order in which its primitives come.
 #[derive(Default)]
 pub struct TileBlend {
     /// Red, green and blue; the fourth is for the alignment.
-    target: Vec<Group<[f32; 4]>>,
-    transmittance: Vec<Group<f64>>,
-    counts: Vec<Group<u32>>,
+    target: Vec<[f32; 4]>,
+    transmittance: Vec<f64>,
+    counts: Vec<u32>,
     colors: Vec<Premultiplied>,
     stopwatch: Stopwatch,
 }
@@ -191,8 +172,8 @@ impl TileBlend {
         reset(&mut self.counts, rect.area(), 0);
     }
 
-    /// Fragments per pixel; the last group may have pixels too many, without fragments.
-    pub fn counts(&self) -> &[Group<u32>] {
+    /// Fragments per pixel.
+    pub fn counts(&self) -> &[u32] {
         &self.counts
     }
 
@@ -209,8 +190,6 @@ impl TileBlend {
 }
 
 impl<'r> Sink<'r> for TileBlend {
-    const BLOCKS: bool = true;
-
     #[inline(always)]
     #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
     fn take(&mut self, cover: &Cover<'_, 'r>) -> bool {
@@ -227,14 +206,13 @@ impl TileBlend {
     fn blend_in(&mut self, cover: &Cover<'_, '_>) {
         if let (Some(color), false) = (flat_color(cover), cover.is_small()) {
             let Self { target, transmittance, counts, .. } = self;
-            return blend_flat(cover.blocks, color, target, transmittance, counts);
+            return blend_flat(cover.runs, color, target, transmittance, counts);
         }
         count(cover.runs, &mut self.counts);
         shade(cover, &mut self.colors);
         for (i, &[r, g, b, alpha]) in cover.runs.iter().flat_map(|run| run.pixels()).zip(&self.colors) {
-            let target = at_mut(&mut self.target, i);
-            *target = blended(*target, [r, g, b, 0.0], 1.0 - alpha);
-            *at_mut(&mut self.transmittance, i) *= 1.0 - f64::from(alpha);
+            self.target[i] = blended(self.target[i], [r, g, b, 0.0], 1.0 - alpha);
+            self.transmittance[i] *= 1.0 - f64::from(alpha);
         }
     }
 }
@@ -253,39 +231,32 @@ fn blended(target: [f32; 4], color: [f32; 4], left: f32) -> [f32; 4] {
 
 #[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
 fn blend_flat(
-    blocks: &[Block],
+    runs: &[Run],
     color: Premultiplied,
-    target: &mut [Group<[f32; 4]>],
-    transmittance: &mut [Group<f64>],
-    counts: &mut [Group<u32>],
+    target: &mut [[f32; 4]],
+    transmittance: &mut [f64],
+    counts: &mut [u32],
 ) {
     let [r, g, b, alpha] = color;
-    for &block in blocks {
-        let (group, ones) = (block.index(), block.ones());
-        attenuate_block(&mut transmittance[group].0, &ones, f64::from(alpha));
-        count_block(&mut counts[group].0, &ones);
-        let mut pixels = target[group].0;
-        for lane in 0..LANES {
-            #[expect(clippy::cast_precision_loss, reason = "0 or 1")]
-            let inside = ones[lane] as f32;
-            let left = 1.0 - alpha * inside;
-            pixels[lane] = blended(pixels[lane], [r * inside, g * inside, b * inside, 0.0], left);
-        }
-        target[group].0 = pixels;
+    let (left, left64) = (1.0 - alpha, 1.0 - f64::from(alpha));
+    for run in runs {
+        target[run.pixels()].iter_mut().for_each(|pixel| *pixel = blended(*pixel, [r, g, b, 0.0], left));
+        transmittance[run.pixels()].iter_mut().for_each(|t| *t *= left64);
+        counts[run.pixels()].iter_mut().for_each(|n| *n += 1);
     }
 }
 
 #[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
 fn blend_background(
-    target: &[Group<[f32; 4]>],
-    transmittance: &[Group<f64>],
+    target: &[[f32; 4]],
+    transmittance: &[f64],
     first: usize,
     background: &[[f32; 3]],
     out: &mut [Finished],
 ) {
     for (i, (background, out)) in (first..).zip(background.iter().zip(out)) {
-        let [r, g, b, _] = at(target, i);
+        let [r, g, b, _] = target[i];
         let layers = [f64::from(r), f64::from(g), f64::from(b), 0.0];
-        *out = put_behind(layers, at(transmittance, i), *background);
+        *out = put_behind(layers, transmittance[i], *background);
     }
 }

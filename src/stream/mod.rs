@@ -18,6 +18,7 @@ pub struct Stopwatch {
     calls: u64,
     timed: u64,
     nanos: u64,
+    exact: u64,
 }
 
 impl Stopwatch {
@@ -37,11 +38,22 @@ impl Stopwatch {
         }
     }
 
+    /// Adds the time of something that is timed always.
+    fn add(&mut self, start: Instant) {
+        self.exact += nanos_since(start);
+    }
+
     /// The time since the last look.
     fn take(&mut self) -> u64 {
-        let Self { calls, timed, nanos } = std::mem::take(self);
-        nanos * calls / timed.max(1)
+        let Self { calls, timed, nanos, exact } = std::mem::take(self);
+        exact + nanos * calls / timed.max(1)
     }
+}
+
+/// So many numbers, all with the same value.
+fn reset<T: Copy>(numbers: &mut Vec<T>, len: usize, value: T) {
+    numbers.clear();
+    numbers.resize(len, value);
 }
 
 /// The colour of a primitive that has but one.

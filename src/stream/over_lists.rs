@@ -1,7 +1,6 @@
 //! Compositing of sorted lists, eight pixels at a time.
 
-use crate::lanes::LANES;
-use crate::raster::{NOTHING, TileLists};
+use crate::raster::{LANES, NOTHING, TileLists};
 use crate::technique::Finished;
 use multiversion::multiversion;
 use std::ops::Range;

@@ -1,0 +1,70 @@
+//! What is done with the sums of many pixels at a time: plain loops over the pixels of a run, which a compiler makes
+//! vectors of, wherever the run begins and ends.
+
+use crate::raster::{Premultiplied, Run};
+use multiversion::multiversion;
+
+/// Attenuates the background and counts the fragments.
+#[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
+pub fn attenuate(runs: &[Run], alpha: f64, transmittance: &mut [f64], counts: &mut [u32]) {
+    let left = 1.0 - alpha;
+    for run in runs {
+        transmittance[run.pixels()].iter_mut().for_each(|t| *t *= left);
+        counts[run.pixels()].iter_mut().for_each(|n| *n += 1);
+    }
+}
+
+/// Adds to 1 - R what a faint primitive covers.
+#[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
+pub fn cover_faintly(runs: &[Run], alpha: f64, coverage: &mut [f64]) {
+    for run in runs {
+        coverage[run.pixels()].iter_mut().for_each(|c| *c += (1.0 - *c) * alpha);
+    }
+}
+
+/// Adds the same to every pixel.
+#[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
+pub fn add_constant(runs: &[Run], added: [f32; 4], sums: &mut [[f32; 4]]) {
+    for run in runs {
+        for sum in &mut sums[run.pixels()] {
+            for channel in 0..4 {
+                sum[channel] += added[channel];
+            }
+        }
+    }
+}
+
+/// Adds the weights times one colour.
+#[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
+pub fn add_flat(runs: &[Run], mut weights: &[f32], color: Premultiplied, sums: &mut [[f32; 4]]) {
+    for run in runs {
+        let (now, later) = weights.split_at(run.len as usize);
+        weights = later;
+        for (sum, weight) in sums[run.pixels()].iter_mut().zip(now) {
+            for channel in 0..4 {
+                sum[channel] += weight * color[channel];
+            }
+        }
+    }
+}
+
+/// The same for few pixels.
+#[inline(always)]
+#[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+pub fn add_few(pixels: &[u32], weights: &[f32], color: Premultiplied, sums: &mut [[f32; 4]]) {
+    for (&pixel, weight) in pixels.iter().zip(weights) {
+        let sum = &mut sums[pixel as usize];
+        for channel in 0..4 {
+            sum[channel] += weight * color[channel];
+        }
+    }
+}
+
+/// Adds the weights times the colours.
+pub fn add_shaded(runs: &[Run], weights: &[f32], colors: &[Premultiplied], sums: &mut [[f32; 4]]) {
+    for ((i, weight), color) in runs.iter().flat_map(|run| run.pixels()).zip(weights).zip(colors) {
+        for (sum, channel) in sums[i].iter_mut().zip(color) {
+            *sum += weight * channel;
+        }
+    }
+}
