@@ -1,10 +1,7 @@
 //! What a render gives back: images and what they cost.
 
-mod buffers;
-
-pub use buffers::Buffers;
-
 use crate::params::Params;
+use crate::spare::{Spare, bytes_of};
 use crate::technique::Finished;
 use multiversion::multiversion;
 use std::sync::Arc;
@@ -20,8 +17,8 @@ pub trait Sample: Copy + Send + Sync + Default + 'static {
     fn store(pixels: &[Finished], colors: &mut [[Self; 3]], shares: &mut [Self]);
     /// Wraps a buffer of samples.
     fn wrap(samples: Vec<Self>) -> Image;
-    /// Where buffers come from, and where they go when nobody needs them any more.
-    fn buffers() -> &'static Buffers<Self>;
+    /// Buffers that nobody needs any more.
+    fn spare() -> &'static Spare<Vec<Self>>;
 }
 
 impl Sample for f32 {
@@ -37,9 +34,9 @@ impl Sample for f32 {
     fn wrap(samples: Vec<Self>) -> Image {
         Image::F32(samples)
     }
-    fn buffers() -> &'static Buffers<Self> {
-        static BUFFERS: Buffers<f32> = Buffers::new();
-        &BUFFERS
+    fn spare() -> &'static Spare<Vec<Self>> {
+        static SPARE: Spare<Vec<f32>> = Spare::new();
+        &SPARE
     }
 }
 
@@ -58,9 +55,9 @@ impl Sample for f64 {
     fn wrap(samples: Vec<Self>) -> Image {
         Image::F64(samples)
     }
-    fn buffers() -> &'static Buffers<Self> {
-        static BUFFERS: Buffers<f64> = Buffers::new();
-        &BUFFERS
+    fn spare() -> &'static Spare<Vec<Self>> {
+        static SPARE: Spare<Vec<f64>> = Spare::new();
+        &SPARE
     }
 }
 
@@ -87,11 +84,16 @@ pub enum Image {
     F64(Vec<f64>),
 }
 
+fn give_back<S: Sample>(samples: &mut Vec<S>) {
+    let (bytes, samples) = (bytes_of(samples), std::mem::take(samples));
+    S::spare().give_back(samples, bytes);
+}
+
 impl Drop for Image {
     fn drop(&mut self) {
         match self {
-            Self::F32(samples) => f32::buffers().give_back(std::mem::take(samples)),
-            Self::F64(samples) => f64::buffers().give_back(std::mem::take(samples)),
+            Self::F32(samples) => give_back(samples),
+            Self::F64(samples) => give_back(samples),
         }
     }
 }

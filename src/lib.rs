@@ -13,6 +13,7 @@ pub mod raster;
 pub mod render;
 pub mod resolve;
 pub mod scene;
+pub mod spare;
 pub mod stream;
 pub mod technique;
 pub mod techniques;

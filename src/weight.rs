@@ -163,16 +163,18 @@ impl Formula {
         let square = |x: f32| x * x;
         let cube = |x: f32| x * x * x;
         let mb = |x: f32| x.clamp(1e-2, 3e3);
+        // times an inverse, not divided by: the same to an ulp for a fifth of the time
+        let far = |z: f32| square(cube(z * (1.0 / 200.0)));
         match *self {
             Self::One => weights.fill(1.0),
             Self::Mb7 => {
-                fill(at, weights, |z, a| a * mb(10.0 / (1e-5 + square(z / 5.0) + square(cube(z / 200.0)))));
+                fill(at, weights, |z, a| a * mb(10.0 / (1e-5 + square(z * (1.0 / 5.0)) + far(z))));
             }
             Self::Mb8 => {
-                fill(at, weights, |z, a| a * mb(10.0 / (1e-5 + cube(z / 10.0) + square(cube(z / 200.0)))));
+                fill(at, weights, |z, a| a * mb(10.0 / (1e-5 + cube(z * (1.0 / 10.0)) + far(z))));
             }
             Self::Mb9 => {
-                fill(at, weights, |z, a| a * mb(0.03 / (1e-5 + square(square(z / 200.0)))));
+                fill(at, weights, |z, a| a * mb(0.03 / (1e-5 + square(square(z * (1.0 / 200.0))))));
             }
             Self::Mb10(planes) => {
                 fill(at, weights, |z, a| a * (3e3 * cube(planes.one_minus_depth(z))).max(1e-2));

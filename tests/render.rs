@@ -202,7 +202,7 @@ fn double_precision_keeps_what_single_rounds() {
     let requests = [request("a_buffer", &[])];
     let double = render::<f64>(Source::Scene(&scene), &requests, &Options::default(), &|| false).unwrap();
     let single = frame(Source::Scene(&scene), "over", &[]);
-    let Image::F64(exact) = &double[0].color else { panic!("not double precision") };
+    let Image::F64(exact) = &*double[0].color else { panic!("not double precision") };
     assert!(exact.iter().zip(samples(&single.color)).all(|(a, b)| *a as f32 == *b));
     assert!(exact.iter().any(|a| f64::from(*a as f32) != *a));
     assert_eq!(single.technique, "a_buffer");

@@ -6,6 +6,7 @@ use super::cover::{Rect, centers, doubled_area};
 use super::project::{BLOCK, Projector, ScreenVertex};
 use super::shade::{Premultiplied, flat, light};
 use crate::scene::{Mesh, Scene, Shading};
+use crate::spare::{Spare, bytes_of};
 use glam::DVec3;
 use rayon::prelude::*;
 use std::ops::Range;
@@ -196,6 +197,34 @@ pub struct Chunk {
     entries: Vec<u32>,
 }
 
+/// The triangles, starts and entries of chunks that are no more.
+static SPARE: Spare<(Vec<Triangle>, Vec<u32>, Vec<u32>)> = Spare::new();
+
+impl Drop for Chunk {
+    fn drop(&mut self) {
+        let take = std::mem::take::<Vec<u32>>;
+        let memory = (std::mem::take(&mut self.triangles), take(&mut self.starts), take(&mut self.entries));
+        let bytes = bytes_of(&memory.0) + bytes_of(&memory.1) + bytes_of(&memory.2);
+        SPARE.give_back(memory, bytes);
+    }
+}
+
+/// Working memory of a thread that sets up chunks.
+#[derive(Default)]
+struct Scratch {
+    /// The corners of faces at hand.
+    gathered: Vec<[ScreenVertex; 3]>,
+    /// The triangles as the faces come.
+    triangles: Vec<Triangle>,
+    /// The entries as they come, with the tiles that they touch.
+    touched: Vec<(u32, TileRange)>,
+    /// Places in another order, tile by tile.
+    cursors: Vec<u32>,
+    order: Vec<u32>,
+}
+
+static SPARE_SCRATCH: Spare<Scratch> = Spare::new();
+
 impl Chunk {
     /// The primitives that touch tile `tile`, in submission order.
     pub fn in_tile(&self, tile: usize) -> impl Iterator<Item = Primitive<'_>> {
@@ -253,6 +282,8 @@ struct Job<'a> {
 /// The projected vertices of a mesh.
 type Screen = Vec<[ScreenVertex; BLOCK]>;
 
+static SPARE_SCREENS: Spare<Screen> = Spare::new();
+
 /// Projects, clips, culls and bins the scene's primitives: first the chunks of opaque meshes, then those of
 /// transparent ones, each in submission order. Empty when `stop` says so meanwhile.
 pub fn set_up(
@@ -264,11 +295,13 @@ pub fn set_up(
     let project = |block: &[[f64; 3]]| {
         if stop() { [ScreenVertex::NOWHERE; BLOCK] } else { projector.project_block(block) }
     };
-    let screen: Vec<Screen> = scene
-        .meshes()
-        .iter()
-        .map(|mesh| mesh.vertices().par_chunks(BLOCK).with_min_len(BLOCKS).map(project).collect())
-        .collect();
+    let screen = |mesh: &std::sync::Arc<Mesh>| {
+        let mut screen = SPARE_SCREENS.take(|_| true).unwrap_or_default();
+        let blocks = mesh.vertices().par_chunks(BLOCK).with_min_len(BLOCKS);
+        blocks.map(project).collect_into_vec(&mut screen);
+        screen
+    };
+    let screens: Vec<Screen> = scene.meshes().iter().map(screen).collect();
     let mut jobs = (Vec::new(), Vec::new());
     let mut first_primitive = 0;
     for (index, mesh) in scene.meshes().iter().enumerate() {
@@ -279,7 +312,7 @@ pub fn set_up(
             index,
             first_primitive,
             faces: start..(start + CHUNK_FACES).min(count),
-            screen: &screen[index],
+            screen: &screens[index],
         }));
         #[expect(clippy::cast_possible_truncation, reason = "Scene::new limits the sum of all faces")]
         (first_primitive += count as u32);
@@ -291,35 +324,45 @@ pub fn set_up(
         let chunk = |job: &Job<'_>| (!stop()).then(|| job.run(projector, tiling));
         jobs.par_iter().filter_map(chunk).collect()
     };
-    (run(jobs.0), run(jobs.1))
+    let chunks = (run(jobs.0), run(jobs.1));
+    for screen in screens {
+        let bytes = bytes_of(&screen);
+        SPARE_SCREENS.give_back(screen, bytes);
+    }
+    chunks
 }
 
 impl Job<'_> {
     fn run(&self, projector: &Projector, tiling: &Tiling) -> Chunk {
+        let (triangles, starts, entries) = SPARE.take(|_| true).unwrap_or_default();
         let mut chunk = Chunk {
             mesh: self.index,
             first_primitive: self.first_primitive,
             depth_range: (f64::INFINITY, f64::NEG_INFINITY),
             faces_camera: true,
             shown: Shown::Nothing,
-            triangles: Vec::with_capacity(self.faces.len()),
+            triangles,
             polygons: Vec::new(),
-            starts: Vec::new(),
-            entries: Vec::new(),
+            starts,
+            entries,
         };
-        let mut touched = Vec::with_capacity(self.faces.len());
-        let mut gathered = Vec::with_capacity(GATHERED);
+        let mut scratch = SPARE_SCRATCH.take(|_| true).unwrap_or_default();
+        let Scratch { gathered, triangles, touched, .. } = &mut scratch;
+        triangles.clear();
+        touched.clear();
         for first in self.faces.clone().step_by(GATHERED) {
             let faces = first..(first + GATHERED).min(self.faces.end);
             gathered.clear();
             let screen = self.screen.as_flattened();
             let corners = |face: &[u32; 3]| face.map(|v| screen[v as usize]);
             gathered.extend(self.mesh.faces()[faces.clone()].iter().map(corners));
-            for (face, vertices) in faces.zip(&gathered) {
-                touched.extend(self.face(face, vertices, projector, tiling, &mut chunk));
+            for (face, vertices) in faces.zip(&*gathered) {
+                touched.extend(self.face(face, vertices, projector, tiling, triangles, &mut chunk));
             }
         }
-        chunk.bin(&mut touched, tiling);
+        chunk.bin(&mut scratch, tiling);
+        let bytes = bytes_of(&scratch.triangles) + bytes_of(&scratch.touched);
+        SPARE_SCRATCH.give_back(scratch, bytes);
         chunk
     }
 
@@ -331,6 +374,7 @@ impl Job<'_> {
         vertices: &[ScreenVertex; 3],
         projector: &Projector,
         tiling: &Tiling,
+        triangles: &mut Vec<Triangle>,
         chunk: &mut Chunk,
     ) -> Option<(u32, TileRange)> {
         let [a, b, c] = vertices.map(|v| v.z);
@@ -355,8 +399,8 @@ impl Job<'_> {
         let flat = flat(self.mesh, face, light);
         chunk.faces_camera &= lo == hi;
         chunk.shown = chunk.shown.and(flat);
-        chunk.triangles.push(Triangle { face: face as u32, light, vertices: *vertices, flat });
-        Some(((chunk.triangles.len() - 1) as u32, tiles))
+        triangles.push(Triangle { face: face as u32, light, vertices: *vertices, flat });
+        Some(((triangles.len() - 1) as u32, tiles))
     }
 
     #[expect(clippy::cast_possible_truncation, reason = "ids fit by Scene::new")]
@@ -387,45 +431,51 @@ impl Job<'_> {
 impl Chunk {
     /// Counting sort of the entries by tile. Triangles move to where the first tile they touch will look for
     /// them: in the order of the faces a tile's triangles would lie all over memory.
-    fn bin(&mut self, touched: &mut [(u32, TileRange)], tiling: &Tiling) {
-        if touched.is_empty() {
+    fn bin(&mut self, scratch: &mut Scratch, tiling: &Tiling) {
+        self.triangles.clear();
+        self.starts.clear();
+        self.entries.clear();
+        if scratch.touched.is_empty() {
             return;
         }
         let columns = tiling.columns();
         let tiles = columns * tiling.rows();
-        self.move_triangles(touched, columns, tiles);
-        self.starts = vec![0; tiles + 1];
+        self.take_triangles(scratch, columns, tiles);
+        let Scratch { touched, cursors, .. } = scratch;
+        self.starts.resize(tiles + 1, 0);
         for (_, range) in touched.iter() {
             range.tiles(columns).for_each(|tile| self.starts[tile + 1] += 1);
         }
         let total = accumulate(&mut self.starts);
-        self.entries = vec![0; total as usize];
-        let mut cursor = self.starts.clone();
+        self.entries.resize(total as usize, 0);
+        cursors.clone_from(&self.starts);
         for (entry, range) in touched.iter() {
             for tile in range.tiles(columns) {
-                self.entries[cursor[tile] as usize] = *entry;
-                cursor[tile] += 1;
+                self.entries[cursors[tile] as usize] = *entry;
+                cursors[tile] += 1;
             }
         }
     }
 
-    fn move_triangles(&mut self, touched: &mut [(u32, TileRange)], columns: usize, tiles: usize) {
+    fn take_triangles(&mut self, scratch: &mut Scratch, columns: usize, tiles: usize) {
+        let Scratch { triangles, touched, cursors, order, .. } = scratch;
         let first_tile = |range: &TileRange| usize::from(range.y0) * columns + usize::from(range.x0);
         let is_triangle = |entry: u32| entry & POLYGON_BIT == 0;
-        let mut places = vec![0; tiles + 1];
+        cursors.clear();
+        cursors.resize(tiles + 1, 0);
         for (_, range) in touched.iter().filter(|(entry, _)| is_triangle(*entry)) {
-            places[first_tile(range) + 1] += 1;
+            cursors[first_tile(range) + 1] += 1;
         }
-        accumulate(&mut places);
-        let Some(&any) = self.triangles.first() else { return };
-        let mut moved = vec![any; self.triangles.len()];
+        accumulate(cursors);
+        order.clear();
+        order.resize(triangles.len(), 0);
         for (entry, range) in touched.iter_mut().filter(|(entry, _)| is_triangle(*entry)) {
-            let place = &mut places[first_tile(range)];
-            moved[*place as usize] = self.triangles[*entry as usize];
+            let place = &mut cursors[first_tile(range)];
+            order[*place as usize] = *entry;
             *entry = *place;
             *place += 1;
         }
-        self.triangles = moved;
+        self.triangles.extend(order.iter().map(|&i| triangles[i as usize]));
     }
 }
 

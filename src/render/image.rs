@@ -31,8 +31,8 @@ impl<S: Sample> Target<S> {
     pub fn new(width: u32, height: u32, channels: &[usize]) -> Result<Self> {
         let pixels = width as usize * height as usize;
         let image = |&channels: &usize| {
-            let color = S::buffers().take(3 * pixels)?;
-            let transmittance = S::buffers().take(channels * pixels)?;
+            let color = buffer(3 * pixels)?;
+            let transmittance = buffer(channels * pixels)?;
             Some(VariantImage { color, transmittance, channels })
         };
         let images = channels.iter().map(image).collect::<Option<_>>();
@@ -92,6 +92,16 @@ impl<S: Sample> Target<S> {
         }
         patches
     }
+}
+
+/// So many samples of whatever value; none where there is no room for them.
+fn buffer<S: Sample>(len: usize) -> Option<Vec<S>> {
+    if let Some(spare) = S::spare().take(|samples| samples.len() == len) {
+        return Some(spare);
+    }
+    // a failing vec! would abort
+    Vec::<S>::new().try_reserve_exact(len).ok()?;
+    Some(vec![S::default(); len])
 }
 
 /// A rectangle of all images, to be written by one thread.

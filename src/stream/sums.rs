@@ -26,6 +26,8 @@ pub struct TileSums<'a> {
     weights: Vec<Weight<'a>>,
     sums: Sums,
     pending: Pending,
+    /// Pixels per row.
+    columns: usize,
     /// The colours of the primitive at hand, if it has several.
     colors: Vec<Premultiplied>,
     alpha: Vec<f32>,
@@ -80,6 +82,7 @@ impl<'a> TileSums<'a> {
     pub fn begin(&mut self, rect: Rect) {
         let Sums { weighted, transmittance, coverage, counts, faint } = &mut self.sums;
         self.pending.clear();
+        self.columns = rect.width();
         reset(transmittance, rect.area(), 1.0);
         if *faint || coverage.len() != rect.area() {
             reset(coverage, rect.area(), 0.0);
@@ -93,7 +96,7 @@ impl<'a> TileSums<'a> {
     pub fn flush(&mut self) {
         if !self.pending.is_empty() {
             let start = Instant::now();
-            self.pending.blend(&mut self.sums);
+            self.pending.blend(self.columns, &mut self.sums);
             self.weights[0].stopwatch.add(start);
         }
     }

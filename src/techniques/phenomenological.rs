@@ -100,9 +100,10 @@ impl Modulation {
         net
     }
 
-    /// `(1 − B) color + B background`.
-    fn cover(&self, color: DVec3, background: DVec3) -> Resolved {
-        let blended = self.coverage * color + self.transmittance * background;
+    /// `(1 − B) color / alpha + B background`; the background's share alone where there is no alpha.
+    fn cover(&self, color: DVec3, alpha: f64, background: DVec3) -> Resolved {
+        let share = if alpha > 0.0 { self.coverage / alpha } else { DVec3::ZERO };
+        let blended = share * color + self.transmittance * background;
         Resolved {
             color: blended.min(DVec3::splat(f32::MAX.into())),
             transmittance: self.transmittance,
@@ -126,10 +127,9 @@ impl Phenomenological {
         sums
     }
 
-    /// The average colour; where nothing but background is left, none.
-    fn average(&self, sums: &BlendSums) -> DVec3 {
-        let alpha = sums.alpha();
-        if alpha > 0.0 { sums.color() / alpha.max(self.divisor_floor) } else { DVec3::ZERO }
+    /// What the sum of colours is divided by.
+    fn divisor(&self, sums: &BlendSums) -> f64 {
+        if sums.alpha() > 0.0 { sums.alpha().max(self.divisor_floor) } else { 0.0 }
     }
 }
 
@@ -139,7 +139,8 @@ impl Technique for Phenomenological {
 
     fn resolve(&self, pixel: &Pixel<'_>, scratch: &mut Scratch) -> Resolved {
         let sums = self.accumulate(pixel, scratch);
-        Modulation::by(pixel.list.alpha, self.transmission).cover(self.average(&sums), pixel.background)
+        let modulation = Modulation::by(pixel.list.alpha, self.transmission);
+        modulation.cover(sums.color(), self.divisor(&sums), pixel.background)
     }
 
     fn cost(&self, _complexity: &DepthComplexity) -> Cost {

@@ -8,7 +8,7 @@ use crate::continuum::sums::FAINT;
 use crate::raster::Run;
 use multiversion::multiversion;
 
-/// Pixels whose sums fit the nearest cache, at 28 bytes each.
+/// Pixels whose sums fit the nearest cache, at 28 bytes each: so many rows of a tile that are no more.
 const BAND: usize = 1024;
 /// Runs that are worth keeping, at 16 bytes each.
 const RUNS: usize = 1 << 13;
@@ -65,12 +65,14 @@ impl Pending {
         }
     }
 
-    /// Blends everything, in the order in which it came.
-    pub fn blend(&mut self, sums: &mut Sums) {
+    /// Blends everything, in the order in which it came, into a tile of so many columns.
+    pub fn blend(&mut self, columns: usize, sums: &mut Sums) {
         let Self { layers, runs, added } = self;
         let Sums { weighted, transmittance, coverage, counts, faint } = sums;
         let Some((first, others)) = weighted.split_first_mut() else { return };
-        for limit in (BAND..transmittance.len() + BAND).step_by(BAND) {
+        // whole rows: a run that reached into the next band would come before earlier ones there
+        let band = columns * (BAND / columns).max(1);
+        for limit in (band..transmittance.len() + band).step_by(band) {
             layers.iter_mut().for_each(|layer| layer.advance(runs, limit));
             blend_band(layers, runs, &added[0], transmittance, counts, first);
             for (sums, added) in others.iter_mut().zip(&added[1..]) {
