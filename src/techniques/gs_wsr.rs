@@ -54,6 +54,7 @@ pub static INFO: Info = Info {
         ParamSpec::new("gain", Kind::POSITIVE, Value::Float(1.0), "factor of linear")
             .when(|params| params.text("variant") == "linear"),
     ],
+    targets: &[],
     submission_orders: ANY_ORDER,
     random: false,
     geometry_passes: "1, 1 more for linear's automatic sigma",

@@ -41,6 +41,7 @@ pub static INFO: Info = Info {
             "what is scaled to the exact coverage: the tail, or everything",
         ),
     ],
+    targets: &[],
     submission_orders: ANY_ORDER,
     random: false,
     geometry_passes: "1",

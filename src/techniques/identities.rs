@@ -11,6 +11,7 @@ use super::testing::{
     submission_order,
 };
 use super::{REGISTRY, find};
+use crate::format::{Format, FormatSet};
 use crate::fragments::Fragment;
 use crate::params::{Input, Kind, Params, check};
 use crate::technique::{AnyTechnique, Info, Properties, Resolved};
@@ -63,7 +64,11 @@ fn candidates(kind: Kind) -> Vec<Input> {
         Kind::Choice(choices) => choices.iter().copied(),
         _ => [].iter().copied(),
     });
-    let words = words.map(|w| Input::Text(w.to_owned()));
+    let formats = match kind {
+        Kind::Format(formats) => formats,
+        _ => FormatSet::of(&[]),
+    };
+    let words = words.chain(formats.iter().map(Format::name)).map(|w| Input::Text(w.to_owned()));
     [Input::Bool(false), Input::Bool(true)]
         .into_iter()
         .chain(ints)

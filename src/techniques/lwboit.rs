@@ -99,6 +99,7 @@ pub static INFO: Info = Info {
         DepthRange::param("scene"),
         S_MAX.when(|p| p.bool("smooth") && p.text("partition") == "absorbance"),
     ],
+    targets: &[],
     submission_orders: ANY_ORDER,
     random: false,
     geometry_passes: "lr: ceil(bins / 32), 1 more to normalize, 1 more for shape or range=\"pixel\"; ll: 1",

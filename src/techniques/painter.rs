@@ -21,6 +21,7 @@ pub static INFO: Info = Info {
         opacity: "alpha",
     },
     params: &[],
+    targets: &[],
     submission_orders: &["centroid"],
     random: false,
     geometry_passes: "1",

@@ -44,6 +44,7 @@ pub static INFO: Info = Info {
             "least sum of weights to divide by; 1e-5 is the authors' shaders', which darkens faint fragments",
         ),
     ],
+    targets: &[],
     submission_orders: ANY_ORDER,
     random: false,
     geometry_passes: "1",

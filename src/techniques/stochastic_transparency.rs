@@ -55,6 +55,7 @@ pub static INFO: Info = Info {
             "samples keep colours and are averaged, or keep depths alone, for a second pass to look through",
         ),
     ],
+    targets: &[],
     submission_orders: ANY_ORDER,
     random: true,
     geometry_passes: "color: 1, 1 more for correction=\"alpha\"; depth: 2",

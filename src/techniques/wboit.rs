@@ -42,6 +42,7 @@ pub static INFO: Info = Info {
              fragments at the weights' floor",
         ),
     ],
+    targets: &[],
     submission_orders: ANY_ORDER,
     random: false,
     geometry_passes: "1",

@@ -26,6 +26,7 @@ pub static INFO: Info = Info {
         opacity: "alpha",
     },
     params: &[],
+    targets: &[],
     submission_orders: ANY_ORDER,
     random: false,
     geometry_passes: "1",

@@ -25,6 +25,7 @@ pub static INFO: Info = Info {
         opacity: "alpha",
     },
     params: &[],
+    targets: &[],
     submission_orders: ANY_ORDER,
     random: false,
     geometry_passes: "1",
