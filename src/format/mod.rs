@@ -101,6 +101,14 @@ impl Format {
         f64::from(self.bits(channels)) / 8.0
     }
 
+    /// The format of a texel's fourth channel.
+    pub const fn of_alpha(self) -> Self {
+        match self {
+            Self::R11g11b10f | Self::Rgb9e5 => Self::F16,
+            _ => self,
+        }
+    }
+
     /// The format of one channel of a texel as a float; none where it is not one by itself.
     const fn float(self, channel: usize) -> Option<Float> {
         match (self, channel) {

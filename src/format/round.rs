@@ -130,7 +130,7 @@ fn rgb9e5(rgb: &mut [f64]) {
 }
 
 /// The exponent of a normal number's leading bit.
-pub(crate) fn exponent(x: f64) -> i32 {
+fn exponent(x: f64) -> i32 {
     (x.to_bits() >> 52 & 0x7ff) as i32 - 1023
 }
 

@@ -7,7 +7,8 @@ use crate::params::{Kind, ParamSpec, Value};
 pub enum Summation {
     /// Each addition is rounded to the format.
     Plain,
-    /// The rounding errors are summed up beside, in a second target of the same format (Neumaier 1974).
+    /// The rounding errors are summed up beside, in a second target of the same format (Neumaier 1974). That one rounds
+    /// as well: halves then reach 4096 ones rather than 2048.
     Compensated,
     /// In two's complement integers of twice the format's bits, half of which count what is below 1: the same bits in
     /// any order. They saturate.

@@ -1,6 +1,7 @@
 //! Alpha compositing (Porter & Duff 1984): the blend unit's `over`, in submission order.
 
 use crate::error::Result;
+use crate::format::{Format, Formats, Target};
 use crate::params::{Params, View};
 use crate::technique::{
     AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties, Resolved, Streamed, Technique,
@@ -24,11 +25,11 @@ pub static INFO: Info = Info {
         opacity: "alpha",
     },
     params: &[],
-    targets: &[],
+    targets: &[Target::COLOR],
     submission_orders: ANY_ORDER,
     random: false,
     geometry_passes: "1",
-    bytes_per_pixel: "8",
+    bytes_per_pixel: "a framebuffer: 16 in f32, 8 in f16, 4 in 8 bits",
     build,
 };
 
@@ -38,7 +39,15 @@ fn build(params: &Params, _view: &View) -> Result<Box<dyn AnyTechnique>> {
         "back_to_front" => Properties::EXACT,
         _ => EXACT_COVERAGE,
     };
-    Ok(Box::new(AlphaCompositing { properties }))
+    Ok(composite(properties, &Formats::from_params(INFO.targets, params)))
+}
+
+/// Alpha compositing in these formats.
+pub(super) fn composite(properties: Properties, formats: &Formats) -> Box<dyn AnyTechnique> {
+    if formats.are_default() {
+        return Box::new(AlphaCompositing { properties });
+    }
+    Box::new(Framebuffer { format: formats.of("color"), bytes: formats.bytes_per_pixel(), properties })
 }
 
 /// What holds in any order: the factors of Π (1 − a) commute, and so do layers of one colour.
@@ -69,11 +78,52 @@ impl Technique for AlphaCompositing {
     }
 
     fn cost(&self, _complexity: &DepthComplexity) -> Cost {
-        Cost { geometry_passes: 1.0, bytes_per_pixel: 8.0 }
+        Cost { geometry_passes: 1.0, bytes_per_pixel: 16.0 }
     }
 
     fn properties(&self) -> Properties {
         self.properties
+    }
+}
+
+/// `dst ← C + (1 − a) dst` in a framebuffer of another format, which holds the background at first.
+struct Framebuffer {
+    format: Format,
+    bytes: f64,
+    properties: Properties,
+}
+
+impl Technique for Framebuffer {
+    type Scratch = ();
+
+    fn resolve(&self, pixel: &Pixel<'_>, (): &mut ()) -> Resolved {
+        let format = self.format;
+        let (mut target, mut transmittance) = (pixel.background.to_array(), 1.0);
+        format.round_texel(&mut target);
+        for (color, &alpha) in pixel.list.color.iter().zip(pixel.list.alpha) {
+            // blend factors are float32 but where nothing is rounded to less
+            let behind = if format == Format::F64 { 1.0 - f64::from(alpha) } else { f64::from(1.0 - alpha) };
+            for (stored, &source) in target.iter_mut().zip(color) {
+                *stored = format.blend(*stored, behind, source.into());
+            }
+            format.round_texel(&mut target);
+            transmittance *= 1.0 - f64::from(alpha);
+        }
+        let largest = DVec3::splat(f32::MAX.into());
+        Resolved::new(DVec3::from(target.map(|x| format.read(x))).min(largest), transmittance)
+    }
+
+    fn cost(&self, _complexity: &DepthComplexity) -> Cost {
+        Cost { geometry_passes: 1.0, bytes_per_pixel: self.bytes }
+    }
+
+    fn properties(&self) -> Properties {
+        let exact = matches!(self.format, Format::F64 | Format::F32);
+        if exact {
+            return self.properties;
+        }
+        let Properties { order_independent, exact_coverage, .. } = self.properties;
+        Properties { order_independent, exact_coverage, ..Properties::NONE }
     }
 }
 

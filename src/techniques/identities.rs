@@ -81,9 +81,10 @@ fn candidates(kind: Kind) -> Vec<Input> {
 /// Every technique with its defaults, with one param changed at a time, and with random params.
 fn variants() -> Vec<Variant> {
     const MIXES: usize = 40;
-    let mut random = Random::new(2);
     let mut variants = Vec::new();
     for info in REGISTRY {
+        // of its own, so that one technique's new param leaves the others' mixes as they were
+        let mut random = Random::new(info.id.bytes().map(u64::from).sum());
         let table = info.param_table();
         let choices: Vec<Vec<(String, Input)>> = (table.iter())
             .map(|spec| {

@@ -136,7 +136,7 @@ impl<W: Words> Technique for StochasticColor<W> {
             net.add(1.0, color, alpha);
         }
         // no sample covered: the layers' share stays black
-        net.cover(shown.average(self.masks.bits).unwrap_or(DVec3::ZERO), pixel.background)
+        net.read(0).cover(shown.average(self.masks.bits).unwrap_or(DVec3::ZERO), pixel.background)
     }
 
     fn transmittance(&self, pixel: &Pixel<'_>, depths: &[f32], samples: &mut Samples<W>) -> Option<Vec<f64>> {
