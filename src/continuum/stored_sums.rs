@@ -82,7 +82,7 @@ impl Recipe {
         let scaled = self.summation.is_scaled();
         let Some(weighting) = weighting else {
             weights.clear();
-            return weights.resize(depth.len(), if scaled { 0.0 } else { 1.0 });
+            return weights.resize(depth.len(), self.one());
         };
         if scaled {
             weighting.evaluate_log2(depth, alpha, weights);
@@ -94,6 +94,16 @@ impl Recipe {
             weights.clear();
             weights.extend(single.into_iter().map(f64::from));
         }
+    }
+
+    /// The weight of a fragment that counts once.
+    pub fn one(self) -> f64 {
+        if self.summation.is_scaled() { 0.0 } else { 1.0 }
+    }
+
+    /// So much of a weight.
+    pub fn times(self, weight: f64, share: f64) -> f64 {
+        if self.summation.is_scaled() { weight + share.log2() } else { self.source(weight * share) }
     }
 
     /// The sums over a list.

@@ -27,9 +27,14 @@ impl Format {
     }
 
     /// `destination factor + source`, before it is rounded. Products of stored numbers of up to f32 and f32 factors are
-    /// exact. A factor of 0 hides what has overflowed, too.
+    /// exact. A factor of 0 hides what has overflowed, too. In a format of equal steps the result is rounded already: it is
+    /// formed in whole steps, since stored numbers are no doubles and ties would go astray.
     pub fn blend(self, destination: f64, factor: f64, source: f64) -> f64 {
         let (factor, source) = (self.clamp_source(factor), self.clamp_source(source));
+        if let Some(steps) = self.steps() {
+            let sum = sum_to_odd((destination * steps).round() * factor, source * steps);
+            return sum.clamp(-steps, steps).round_ties_even() / steps;
+        }
         let kept = if factor == 0.0 { 0.0 } else { destination * factor };
         if self == Self::F64 { kept + source } else { sum_to_odd(kept, source) }
     }
@@ -66,9 +71,21 @@ mod tests {
 
     #[test]
     fn normalized_targets_clamp_their_sources() {
-        assert_eq!(Format::Unorm8.blend(0.5, 1.0, -3.0), 0.5);
+        assert_eq!(Format::Unorm8.blend(0.2, 1.0, -3.0), 0.2);
         assert_eq!(Format::Unorm8.blend(0.0, 1.0, 3.0), 1.0);
         assert_eq!(Format::Snorm8.blend(0.0, 1.0, -3.0), -1.0);
         assert_eq!(Format::F16.blend(0.0, 1.0, -3.0), -3.0);
+    }
+
+    #[test]
+    fn normalized_targets_blend_in_whole_steps() {
+        // 64/255 and 159/255 are no doubles, 64/2 + 255/2 = 159.5 steps is a tie all the same
+        assert_eq!(Format::Unorm8.blend(64.0 / 255.0, 0.5, 0.5), 160.0 / 255.0);
+        assert_eq!(Format::Unorm8.blend(62.0 / 255.0, 0.5, 0.5), 158.0 / 255.0);
+        assert_eq!(Format::Unorm8.blend(1.0, 1.0, 1.0), 1.0);
+        for k in 0..=255 {
+            let stored = f64::from(k) / 255.0;
+            assert_eq!(Format::Unorm8.round(Format::Unorm8.blend(stored, 1.0, 0.0)), stored);
+        }
     }
 }

@@ -261,9 +261,20 @@ mod tests {
 
     #[test]
     fn overrides_that_change_nothing_are_the_default() {
+        let table: Vec<_> = param_specs(&TARGETS).collect();
+        let identity = |given: &[(&str, &str)]| {
+            let owned = |(name, value): &(&str, &str)| ((*name).to_owned(), Input::Text((*value).to_owned()));
+            let checked = check("demo", &table, &given.iter().map(owned).collect::<Vec<_>>()).unwrap();
+            checked.resolve(&table, &View::ORDINARY).identity()
+        };
         for given in [("accumulation_format", "f32"), ("revealage_format", "f64"), ("format", "f32")] {
             assert_eq!(formats(&[given]), formats(&[]));
+            assert_eq!(identity(&[given]), identity(&[]));
         }
+        let half = ("format", "f16");
+        assert_eq!(identity(&[half, ("revealage_format", "f16")]), identity(&[half]));
+        assert_ne!(identity(&[half]), identity(&[]));
+        assert_ne!(identity(&[("revealage_format", "f32")]), identity(&[]));
     }
 
     #[test]

@@ -151,6 +151,53 @@ mod tests {
         assert_close(resolve("alpha_compositing", &[], &pixel), DVec3::splat(0.5), 0.0, 0.0);
     }
 
+    fn in_format(format: &str, pixel: &[Fragment]) -> DVec3 {
+        resolve("alpha_compositing", &[("format", Input::Text(format.into()))], pixel).color
+    }
+
+    /// The background goes into the framebuffer first; each blend is rounded to a step.
+    #[test]
+    fn eight_bits_by_hand() {
+        let layers = [fragment(2.0, [1.0, 0.5, 0.0], 0.5, 0), fragment(1.0, [0.25; 3], 0.25, 1)];
+        let step = |x: f64| (x * 255.0).round_ties_even() / 255.0;
+        let stored = [(0.25, 1.0), (0.5, 0.5), (0.75, 0.0)].map(|(background, c)| {
+            // in whole steps, one of which is a tie
+            let first = (0.5 * step(background) * 255.0 + 127.5 * c).round_ties_even() / 255.0;
+            step(0.75 * first + 0.0625)
+        });
+        assert_eq!(in_format("unorm8", &layers), DVec3::from(stored));
+    }
+
+    /// What is fainter than half a step changes nothing, however often it is blended.
+    #[test]
+    fn eight_bits_do_not_see_faint_layers() {
+        let mut faint: Vec<_> = (0..1000).map(|i| fragment(1.0, [1.0; 3], 1.0 / 520.0, i)).collect();
+        faint[0] = fragment(1.0, [0.0; 3], 1.0, 0);
+        assert_eq!(in_format("unorm8", &faint), DVec3::ZERO);
+        // where it is dark encoded steps are finer
+        assert!(in_format("srgb8", &faint).x > 0.1);
+        assert!((in_format("f32", &faint) - in_format("f64", &faint)).abs().max_element() < 1e-4);
+    }
+
+    #[test]
+    fn wide_framebuffers_are_over_back_to_front() {
+        let (color, transmittance) = over(&three_layers());
+        for (format, tolerance) in
+            [("f64", 1e-15), ("f16", 1e-3), ("bf16", 8e-3), ("rgb9e5", 4e-3), ("r11g11b10f", 0.03)]
+        {
+            let params = [
+                ("format", Input::Text(format.into())),
+                ("submission_order", Input::Text("back_to_front".into())),
+            ];
+            assert_close(
+                resolve("alpha_compositing", &params, &three_layers()),
+                color,
+                transmittance,
+                tolerance,
+            );
+        }
+    }
+
     #[test]
     fn equals_over_back_to_front_and_the_worst_case_front_to_back() {
         let fragments = three_layers();

@@ -295,6 +295,34 @@ mod tests {
         assert!(resolve("gs_wsr", &[variant("linear")], &at_the_eye).color.is_finite());
     }
 
+    /// exp(-z²) of depths whose weights halves do not have.
+    #[test]
+    fn scaled_halves_keep_weights_that_halves_lose() {
+        let far = [fragment(6.0, [1.0, 0.5, 0.0], 0.5, 0), fragment(6.1, [0.0, 0.5, 1.0], 0.5, 1)];
+        let at = |format: &str, summation: &str| {
+            let storage = [("format", format), ("summation", summation), ("variant", "exp")];
+            let storage = storage.map(|(name, value)| (name, Input::Text(value.into())));
+            let rest = [("gamma", Input::Int(2)), ("background_weight", Input::Int(0))];
+            resolve("gs_wsr", &[&storage[..], &rest].concat(), &far)
+        };
+        let exact = at("f64", "plain");
+        assert_close(at("f16", "scaled"), exact.color, 0.0, 1e-3);
+        assert_close(at("f32", "plain"), exact.color, 0.0, F32_STATE);
+        assert_eq!(at("f16", "plain").transmittance.x, 1.0);
+    }
+
+    #[test]
+    fn sums_of_depths_are_stored_too() {
+        let pixel: Vec<_> = (0..5000).map(|i| fragment(1.0, [1.0, 0.5, 0.0], 0.5, i)).collect();
+        let at = |format: &str| {
+            let depth = ("depth_format", Input::Text(format.into()));
+            resolve("gs_wsr", &[variant("linear"), depth], &pixel).transmittance.x
+        };
+        // sum and count both stop at 2048: their quotient is right
+        assert_eq!(at("f16"), at("f32"));
+        assert!((at("f64") - at("f32")).abs() < 1e-9);
+    }
+
     #[test]
     fn sigma_is_automatic_where_it_depends_on_the_pixel() {
         let sigma = |name| given(&super::INFO, &[variant(name)]).value("sigma");

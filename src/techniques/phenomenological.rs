@@ -310,6 +310,34 @@ mod tests {
         assert_close(floored, darkened, transmittance, F32_STATE);
     }
 
+    fn word(name: &'static str, value: &str) -> (&'static str, Input) {
+        (name, Input::Text(value.into()))
+    }
+
+    /// The authors' targets: halves and 8 bits of the background's share, which do not see what is faint.
+    #[test]
+    fn the_authors_targets_lose_faint_fragments() {
+        let faint: Vec<_> = (0..300).map(|i| fragment(1.0, [0.5; 3], 1.0 / 520.0, i)).collect();
+        let targets = [word("format", "f16"), word("modulation_format", "unorm8")];
+        assert_eq!(resolve(ID, &targets, &faint).transmittance, DVec3::ONE);
+        let pixel = random_pixel(20, 4);
+        let (got, exact) = (resolve(ID, &targets, &pixel), resolve(ID, &[], &pixel));
+        assert!((got.color - exact.color).abs().max_element() < 0.02, "{got:?} {exact:?}");
+    }
+
+    #[test]
+    fn every_summation_is_the_same_within_its_precision() {
+        let pixel = random_pixel(40, 6);
+        for tau in [[0.0; 3], [0.9, 0.5, 0.0]] {
+            let exact = resolve(ID, &[word("format", "f64"), transmission(tau)], &pixel);
+            for summation in ["plain", "compensated", "fixed", "scaled", "scaled_double"] {
+                let got = resolve(ID, &[word("summation", summation), transmission(tau)], &pixel);
+                let far = (got.color - exact.color).abs().max_element();
+                assert!(far < 1e-5, "{summation}: {far:e}");
+            }
+        }
+    }
+
     #[test]
     fn near_must_be_less_than_far() {
         let message = build(ID, &[("near", Input::Int(200))]).err().unwrap().to_string();
