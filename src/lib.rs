@@ -2,6 +2,7 @@
 
 pub mod continuum;
 pub mod error;
+pub mod format;
 pub mod fragments;
 pub mod frame;
 pub mod order;

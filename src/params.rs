@@ -2,6 +2,7 @@
 //! rejects what it does not know, by name.
 
 use crate::error::{Error, Result};
+use crate::format::FormatSet;
 use std::fmt;
 
 /// A resolved parameter value. Text is always one of a spec's choices, hence `'static`.
@@ -76,6 +77,8 @@ pub enum Kind {
     },
     /// A depth range: `"pixel"`, `"scene"` or `(z_lo, z_hi)`.
     DepthRange,
+    /// The name of a storage format.
+    Format(FormatSet),
 }
 
 impl Kind {
@@ -102,7 +105,7 @@ impl Kind {
             Self::Bool => "bool",
             Self::Int { .. } | Self::IntChoice(_) => "int",
             Self::Float { .. } => "float",
-            Self::Choice(_) => "str",
+            Self::Choice(_) | Self::Format(_) => "str",
             Self::FloatOrRgb { .. } => "float or (r, g, b)",
             Self::DepthRange => "str or (z_lo, z_hi)",
         }
@@ -127,6 +130,9 @@ impl Kind {
                     }
                     _ => number(input).filter(inside).map(|x| Value::Rgb([x; 3])),
                 }
+            }
+            (Self::Format(formats), Input::Text(text)) => {
+                formats.find(text).map(|format| Value::Text(format.name()))
             }
             (Self::DepthRange, Input::Text(text)) => choice(&["pixel", "scene"], text),
             (Self::DepthRange, Input::Floats(v)) => {
@@ -179,6 +185,7 @@ impl fmt::Display for Kind {
             Self::FloatOrRgb { min, max } => {
                 write!(f, "a number in [{min}, {max}], or three of them (r, g, b)")
             }
+            Self::Format(formats) => write!(f, "one of {formats}"),
             Self::DepthRange => write!(f, "\"pixel\", \"scene\" or (z_lo, z_hi) with 0 <= z_lo < z_hi"),
         }
     }

@@ -3,6 +3,7 @@
 
 use crate::continuum::sums::Blended;
 use crate::error::Result;
+use crate::format::Target;
 use crate::fragments::{List, ListsRef};
 use crate::params::{ParamSpec, Params, View};
 use glam::DVec3;
@@ -299,6 +300,8 @@ pub struct Info {
     pub axes: Axes,
     /// Its own parameters.
     pub params: &'static [ParamSpec],
+    /// What it stores per pixel: its formats can be chosen.
+    pub targets: &'static [Target],
     /// The submission orders it can be asked for, the default first.
     pub submission_orders: &'static [&'static str],
     /// Whether it draws random numbers.

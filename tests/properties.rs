@@ -48,6 +48,7 @@ fn values(spec: &ParamSpec) -> Vec<Input> {
     match spec.kind {
         Kind::Choice(_) if spec.name == "submission_order" => vec![text(&"shuffled")],
         Kind::Choice(words) => words.iter().map(text).collect(),
+        Kind::Format(formats) => formats.iter().map(|format| text(&format.name())).collect(),
         Kind::Bool => vec![Input::Bool(false), Input::Bool(true)],
         Kind::DepthRange => vec![text(&"pixel"), text(&"scene"), Input::Floats(vec![2.0, 6.0])],
         Kind::IntChoice(numbers) => numbers.iter().copied().map(Input::Int).collect(),

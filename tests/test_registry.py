@@ -134,7 +134,8 @@ def test_the_cost_follows_params_and_depth_complexity() -> None:
 
     assert [bytes_per_pixel("mlab", 3.0, layers=k) for k in (1, 4)] == [8.0, 32.0]
     assert [bytes_per_pixel("a_buffer", n) for n in (0.0, 2.5)] == [4.0, 44.0]
-    assert [bytes_per_pixel("wboit", n) for n in (0.0, 2.5)] == [10.0, 10.0]
+    assert [bytes_per_pixel("wboit", n) for n in (0.0, 2.5)] == [20.0, 20.0]
+    assert bytes_per_pixel("wboit", 2.5, format="f16", revealage_format="unorm8") == 9.0
     peeling = TABLE["depth_peeling"].cost(depth_complexity_mean=3, depth_complexity_max=np.int64(40))
     assert peeling.geometry_passes == 41.0
 

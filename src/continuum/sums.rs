@@ -26,7 +26,7 @@ pub const FAINT: f64 = 1.0 / 1024.0;
 /// 1 − R from both of what is kept.
 #[inline(always)]
 #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
-fn precise_coverage(transmittance: f64, faint: f64) -> f64 {
+pub(super) fn precise_coverage(transmittance: f64, faint: f64) -> f64 {
     // half of it, so that no rounding makes a fragment that is not faint go unseen
     if 1.0 - transmittance > 0.5 * FAINT { 1.0 - transmittance } else { faint }
 }
@@ -77,32 +77,66 @@ impl BlendSums {
 
     /// MB13 eq. 6: the average covers 1 − R of the background. One division for all channels.
     pub fn over(&self, background: DVec3) -> Resolved {
-        let alpha = self.alpha();
-        if alpha > 0.0 {
-            blend(self.color(), self.coverage() / alpha, self.transmittance, background)
+        self.read(0).over(background)
+    }
+
+    /// What a resolve reads of the sums over `count` fragments.
+    #[expect(clippy::cast_precision_loss, reason = "a pixel's list is far shorter than 2^52")]
+    pub fn read(&self, count: usize) -> Sums {
+        Sums {
+            color: self.color(),
+            alpha: self.alpha(),
+            transmittance: self.transmittance(),
+            coverage: self.coverage(),
+            count: count as f64,
+        }
+    }
+}
+
+/// What a resolve reads of a pixel's targets.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Sums {
+    /// Σ w C.
+    pub color: DVec3,
+    /// Σ w a.
+    pub alpha: f64,
+    /// R = Π (1 − a).
+    pub transmittance: f64,
+    /// 1 − R.
+    pub coverage: f64,
+    /// The number of fragments.
+    pub count: f64,
+}
+
+impl Sums {
+    /// MB13 eq. 6: the average covers 1 − R of the background. One division for all channels.
+    pub fn over(&self, background: DVec3) -> Resolved {
+        if self.alpha > 0.0 {
+            blend(self.color, self.coverage / self.alpha, self.transmittance, background)
         } else {
             Resolved::background(background)
         }
     }
 
     /// MB13 eq. 4: `count` copies of the mean fragment, one over the other.
-    #[expect(clippy::cast_precision_loss, reason = "a pixel's list is far shorter than 2^52")]
-    pub fn over_as_mean(&self, count: usize, background: DVec3) -> Resolved {
-        let Some(average) = self.average() else { return Resolved::background(background) };
-        let (coverage, transmittance) = self.mean_coverage(count as f64);
-        blend(average, coverage, transmittance, background)
+    pub fn over_as_mean(&self, background: DVec3) -> Resolved {
+        if self.alpha <= 0.0 {
+            return Resolved::background(background);
+        }
+        let (coverage, transmittance) = self.mean_coverage();
+        blend(self.color / self.alpha, coverage, transmittance, background)
     }
 
-    /// What `n` copies of the mean fragment cover of the background, and what they leave of it.
-    pub fn mean_coverage(&self, n: f64) -> (f64, f64) {
-        let mean_alpha = (self.alpha() / n.max(1.0)).min(1.0);
-        let log_transmittance = n * (-mean_alpha).ln_1p();
+    /// What `count` copies of the mean fragment cover of the background, and what they leave of it.
+    pub fn mean_coverage(&self) -> (f64, f64) {
+        let mean_alpha = (self.alpha / self.count.max(1.0)).min(1.0);
+        let log_transmittance = self.count * (-mean_alpha).ln_1p();
         (-log_transmittance.exp_m1(), log_transmittance.exp())
     }
 
     /// `(1 − R) color + R background`.
     pub fn cover(&self, color: DVec3, background: DVec3) -> Resolved {
-        blend(color, self.coverage(), self.transmittance, background)
+        blend(color, self.coverage, self.transmittance, background)
     }
 }
 
@@ -174,8 +208,8 @@ pub trait Blended: Send + Sync {
         None
     }
 
-    /// The pixel's colour from its sums over `count` fragments.
-    fn finish(&self, sums: &BlendSums, count: usize, background: DVec3) -> Resolved;
+    /// The pixel's colour from its sums.
+    fn finish(&self, sums: &Sums, background: DVec3) -> Resolved;
 
     /// The same for many pixels, each over its background, in place of what `out` has; those without fragments
     /// are background alone.
@@ -196,7 +230,7 @@ pub trait Blended: Send + Sync {
                 sums.add(1.0, color, alpha);
             }
         }
-        self.finish(&sums, list.len(), background)
+        self.finish(&sums.read(list.len()), background)
     }
 }
 
@@ -213,7 +247,7 @@ pub fn finish_each<T: Blended + ?Sized>(technique: &T, pixels: &SumsOf<'_>, out:
         let background = Vec3::from(background).as_dvec3();
         let resolved = match count {
             0 => Resolved::background(background),
-            _ => technique.finish(&sums, count as usize, background),
+            _ => technique.finish(&sums.read(count as usize), background),
         };
         resolved.color.extend(resolved.transmittance.x).to_array()
     }));

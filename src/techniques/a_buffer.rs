@@ -41,6 +41,7 @@ pub static INFO: Info = Info {
         )
         .when(|p| p.text("overflow") != "grow"),
     ],
+    targets: &[],
     submission_orders: ANY_ORDER,
     random: false,
     geometry_passes: "1",

@@ -38,6 +38,7 @@ pub static INFO: Info = Info {
         .derived("layers >= 8", |params, _| Value::Bool(params.size("layers") >= 8)),
         Composite::param("none"),
     ],
+    targets: &[],
     submission_orders: ANY_ORDER,
     random: false,
     geometry_passes: "2",

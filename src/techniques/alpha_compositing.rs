@@ -1,6 +1,7 @@
 //! Alpha compositing (Porter & Duff 1984): the blend unit's `over`, in submission order.
 
 use crate::error::Result;
+use crate::format::{Format, Formats, Target};
 use crate::params::{Params, View};
 use crate::technique::{
     AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties, Resolved, Streamed, Technique,
@@ -24,10 +25,11 @@ pub static INFO: Info = Info {
         opacity: "alpha",
     },
     params: &[],
+    targets: &[Target::COLOR],
     submission_orders: ANY_ORDER,
     random: false,
     geometry_passes: "1",
-    bytes_per_pixel: "8",
+    bytes_per_pixel: "a framebuffer: 16 in f32, 8 in f16, 4 in 8 bits",
     build,
 };
 
@@ -37,7 +39,15 @@ fn build(params: &Params, _view: &View) -> Result<Box<dyn AnyTechnique>> {
         "back_to_front" => Properties::EXACT,
         _ => EXACT_COVERAGE,
     };
-    Ok(Box::new(AlphaCompositing { properties }))
+    Ok(composite(properties, &Formats::from_params(INFO.targets, params)))
+}
+
+/// Alpha compositing in these formats.
+pub(super) fn composite(properties: Properties, formats: &Formats) -> Box<dyn AnyTechnique> {
+    if formats.are_default() {
+        return Box::new(AlphaCompositing { properties });
+    }
+    Box::new(Framebuffer { format: formats.of("color"), bytes: formats.bytes_per_pixel(), properties })
 }
 
 /// What holds in any order: the factors of Π (1 − a) commute, and so do layers of one colour.
@@ -68,11 +78,52 @@ impl Technique for AlphaCompositing {
     }
 
     fn cost(&self, _complexity: &DepthComplexity) -> Cost {
-        Cost { geometry_passes: 1.0, bytes_per_pixel: 8.0 }
+        Cost { geometry_passes: 1.0, bytes_per_pixel: 16.0 }
     }
 
     fn properties(&self) -> Properties {
         self.properties
+    }
+}
+
+/// `dst ← C + (1 − a) dst` in a framebuffer of another format, which holds the background at first.
+struct Framebuffer {
+    format: Format,
+    bytes: f64,
+    properties: Properties,
+}
+
+impl Technique for Framebuffer {
+    type Scratch = ();
+
+    fn resolve(&self, pixel: &Pixel<'_>, (): &mut ()) -> Resolved {
+        let format = self.format;
+        let (mut target, mut transmittance) = (pixel.background.to_array(), 1.0);
+        format.round_texel(&mut target);
+        for (color, &alpha) in pixel.list.color.iter().zip(pixel.list.alpha) {
+            // blend factors are float32 but where nothing is rounded to less
+            let behind = if format == Format::F64 { 1.0 - f64::from(alpha) } else { f64::from(1.0 - alpha) };
+            for (stored, &source) in target.iter_mut().zip(color) {
+                *stored = format.blend(*stored, behind, source.into());
+            }
+            format.round_texel(&mut target);
+            transmittance *= 1.0 - f64::from(alpha);
+        }
+        let largest = DVec3::splat(f32::MAX.into());
+        Resolved::new(DVec3::from(target.map(|x| format.read(x))).min(largest), transmittance)
+    }
+
+    fn cost(&self, _complexity: &DepthComplexity) -> Cost {
+        Cost { geometry_passes: 1.0, bytes_per_pixel: self.bytes }
+    }
+
+    fn properties(&self) -> Properties {
+        let exact = matches!(self.format, Format::F64 | Format::F32);
+        if exact {
+            return self.properties;
+        }
+        let Properties { order_independent, exact_coverage, .. } = self.properties;
+        Properties { order_independent, exact_coverage, ..Properties::NONE }
     }
 }
 
@@ -98,6 +149,53 @@ mod tests {
         let bright = Fragment { alpha: 0.0, ..fragment(1.0, [f32::MAX; 3], 1.0, 0) };
         let pixel = [bright, bright, bright, fragment(1.0, [0.5; 3], 1.0, 1)];
         assert_close(resolve("alpha_compositing", &[], &pixel), DVec3::splat(0.5), 0.0, 0.0);
+    }
+
+    fn in_format(format: &str, pixel: &[Fragment]) -> DVec3 {
+        resolve("alpha_compositing", &[("format", Input::Text(format.into()))], pixel).color
+    }
+
+    /// The background goes into the framebuffer first; each blend is rounded to a step.
+    #[test]
+    fn eight_bits_by_hand() {
+        let layers = [fragment(2.0, [1.0, 0.5, 0.0], 0.5, 0), fragment(1.0, [0.25; 3], 0.25, 1)];
+        let step = |x: f64| (x * 255.0).round_ties_even() / 255.0;
+        let stored = [(0.25, 1.0), (0.5, 0.5), (0.75, 0.0)].map(|(background, c)| {
+            // in whole steps, one of which is a tie
+            let first = (0.5 * step(background) * 255.0 + 127.5 * c).round_ties_even() / 255.0;
+            step(0.75 * first + 0.0625)
+        });
+        assert_eq!(in_format("unorm8", &layers), DVec3::from(stored));
+    }
+
+    /// What is fainter than half a step changes nothing, however often it is blended.
+    #[test]
+    fn eight_bits_do_not_see_faint_layers() {
+        let mut faint: Vec<_> = (0..1000).map(|i| fragment(1.0, [1.0; 3], 1.0 / 520.0, i)).collect();
+        faint[0] = fragment(1.0, [0.0; 3], 1.0, 0);
+        assert_eq!(in_format("unorm8", &faint), DVec3::ZERO);
+        // where it is dark encoded steps are finer
+        assert!(in_format("srgb8", &faint).x > 0.1);
+        assert!((in_format("f32", &faint) - in_format("f64", &faint)).abs().max_element() < 1e-4);
+    }
+
+    #[test]
+    fn wide_framebuffers_are_over_back_to_front() {
+        let (color, transmittance) = over(&three_layers());
+        for (format, tolerance) in
+            [("f64", 1e-15), ("f16", 1e-3), ("bf16", 8e-3), ("rgb9e5", 4e-3), ("r11g11b10f", 0.03)]
+        {
+            let params = [
+                ("format", Input::Text(format.into())),
+                ("submission_order", Input::Text("back_to_front".into())),
+            ];
+            assert_close(
+                resolve("alpha_compositing", &params, &three_layers()),
+                color,
+                transmittance,
+                tolerance,
+            );
+        }
     }
 
     #[test]

@@ -34,6 +34,7 @@ pub static INFO: Info = Info {
         opacity: "alpha",
     },
     params: &[THRESHOLD],
+    targets: &[],
     submission_orders: ANY_ORDER,
     random: false,
     geometry_passes: "1",

@@ -35,6 +35,7 @@ pub static INFO: Info = Info {
         ),
         Composite::param("none"),
     ],
+    targets: &[],
     submission_orders: ANY_ORDER,
     random: false,
     geometry_passes: "2",

@@ -1,7 +1,10 @@
 //! Blended OIT (`McGuire` & Bavoil 2013, eq. 5): the average colour at the exact coverage.
 
-use crate::continuum::sums::{BlendSums, Blended, SumsOf};
+use crate::continuum::stored::Stored;
+use crate::continuum::stored_sums::Recipe;
+use crate::continuum::sums::{Blended, Sums, SumsOf};
 use crate::error::Result;
+use crate::format::{FormatSet, Formats, SUMMATION, Summation, Target};
 use crate::params::{Params, View};
 use crate::technique::{
     AnyTechnique, Axes, Cost, DepthComplexity, Finished, Info, Pixel, Properties, Resolved, Streamed,
@@ -25,23 +28,29 @@ pub static INFO: Info = Info {
         normalize: "α-weighted average",
         opacity: "alpha",
     },
-    params: &[],
+    params: &[SUMMATION],
+    targets: &[Target::ACCUMULATION.of(FormatSet::SMALL_SUMS), Target::REVEALAGE],
     submission_orders: ANY_ORDER,
     random: false,
     geometry_passes: "1",
-    bytes_per_pixel: "10 (sums and R)",
+    bytes_per_pixel: "4 sums and R: 20 in f32, 10 in f16",
     build,
 };
 
 #[expect(clippy::unnecessary_wraps, reason = "the signature of every technique's build")]
-fn build(_params: &Params, _view: &View) -> Result<Box<dyn AnyTechnique>> {
-    Ok(Box::new(BlendedOit))
+fn build(params: &Params, _view: &View) -> Result<Box<dyn AnyTechnique>> {
+    let formats = Formats::from_params(INFO.targets, params);
+    let recipe = Recipe { revealage: formats.of("revealage"), ..Recipe::from_params(&formats, params) };
+    if formats.are_default() && recipe.summation == Summation::Plain {
+        return Ok(Box::new(BlendedOit));
+    }
+    Ok(Stored::boxed(BlendedOit, recipe, recipe.bytes_per_pixel(&formats, formats.bytes_of("accumulation"))))
 }
 
 struct BlendedOit;
 
 impl Blended for BlendedOit {
-    fn finish(&self, sums: &BlendSums, _count: usize, background: DVec3) -> Resolved {
+    fn finish(&self, sums: &Sums, background: DVec3) -> Resolved {
         sums.over(background)
     }
 
@@ -62,7 +71,7 @@ impl Technique for BlendedOit {
     }
 
     fn cost(&self, _complexity: &DepthComplexity) -> Cost {
-        Cost { geometry_passes: 1.0, bytes_per_pixel: 10.0 }
+        Cost { geometry_passes: 1.0, bytes_per_pixel: 20.0 }
     }
 
     fn properties(&self) -> Properties {

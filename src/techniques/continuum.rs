@@ -51,6 +51,7 @@ pub static INFO: Info = Info {
         opacity: "opacity",
     },
     params: PARAMS,
+    targets: &[],
     submission_orders: ANY_ORDER,
     random: true,
     geometry_passes: "1, 1 more for accumulate=\"all\", 1 more for bins with range=\"pixel\"",

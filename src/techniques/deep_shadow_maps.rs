@@ -42,6 +42,7 @@ pub static INFO: Info = Info {
         .when(|p| p.size("vertices") == 0),
         Composite::param("none"),
     ],
+    targets: &[],
     submission_orders: ANY_ORDER,
     random: false,
     geometry_passes: "2",

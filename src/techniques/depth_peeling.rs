@@ -38,6 +38,7 @@ pub static INFO: Info = Info {
             "stop a pixel when less than 1/1024 of the light behind it gets through",
         ),
     ],
+    targets: &[],
     submission_orders: ANY_ORDER,
     random: false,
     geometry_passes: "passes, at most the largest depth complexity + 1 (the pass that writes nothing)",

@@ -31,6 +31,7 @@ pub static INFO: Info = Info {
         Value::Int(0),
         "peeling passes after the one that finds the first depths; 0 goes on until nothing is left",
     )],
+    targets: &[],
     submission_orders: ANY_ORDER,
     random: false,
     geometry_passes: "1 + passes, at most 1 + ceil(n / 2) (n = largest depth complexity)",

@@ -1,14 +1,17 @@
 //! Weighted sum rendering of Gaussian splats (Hou et al. 2025): a weighted average in which the background
 //! takes part like a fragment.
 
-use crate::continuum::sums::{BlendSums, blend};
+use crate::continuum::stored_sums::{Recipe, StoredSums};
+use crate::continuum::sums::{BlendSums, Sums, blend};
 use crate::error::Result;
+use crate::format::{Format, FormatSet, Formats, SUMMATION, Summation, Target};
 use crate::fragments::List;
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{
     AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties, Resolved, Technique,
 };
 use crate::techniques::ANY_ORDER;
+use std::f64::consts::LOG2_E;
 
 /// The registry entry.
 pub static INFO: Info = Info {
@@ -53,11 +56,13 @@ pub static INFO: Info = Info {
             .when(|params| params.text("variant") == "exp"),
         ParamSpec::new("gain", Kind::POSITIVE, Value::Float(1.0), "factor of linear")
             .when(|params| params.text("variant") == "linear"),
+        SUMMATION,
     ],
+    targets: &[Target::ACCUMULATION, DEPTH],
     submission_orders: ANY_ORDER,
     random: false,
     geometry_passes: "1, 1 more for linear's automatic sigma",
-    bytes_per_pixel: "8, 8 more for linear's automatic sigma",
+    bytes_per_pixel: "4 sums: 16 in f32, 8 in f16; linear's automatic sigma takes 2 more",
     build,
 };
 
@@ -68,8 +73,27 @@ fn build(params: &Params, _view: &View) -> Result<Box<dyn AnyTechnique>> {
         ("linear", _) => Weight::Linear { sigma: None, gain: params.float("gain") },
         _ => Weight::Direct,
     };
-    Ok(Box::new(WeightedSumRendering { weight, background_weight: params.float("background_weight") }))
+    let formats = Formats::from_params(INFO.targets, params);
+    let recipe = Recipe::from_params(&formats, params);
+    let bytes = recipe.bytes_per_pixel(&formats, formats.bytes_of("accumulation"));
+    let default = formats.are_default() && recipe.summation == Summation::Plain;
+    let automatic = matches!(weight, Weight::Linear { sigma: None, .. });
+    let depth = if automatic { formats.of("depth") } else { Format::F64 };
+    let background_weight = params.float("background_weight");
+    let stored = (!default).then_some((recipe, depth));
+    Ok(Box::new(WeightedSumRendering { weight, background_weight, stored, bytes }))
 }
+
+/// What the automatic sigma is made of.
+const DEPTH: Target = Target {
+    name: "depth",
+    param: "depth_format",
+    doc: "format of the sum of depths and of their number, from which linear's automatic sigma follows",
+    formats: FormatSet::FLOATS,
+    channels: 2,
+    double: true,
+    active: |params| params.text("variant") == "linear" && params.value("sigma") == Value::None,
+};
 
 /// A fragment's weight by its depth.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -87,16 +111,22 @@ enum Weight {
 }
 
 impl Weight {
-    /// The weight for a pixel with these fragments.
-    fn for_pixel(self, list: List<'_>) -> Self {
+    /// The weight for a pixel with these fragments, whose depths are summed up in `depth`.
+    fn for_pixel(self, list: List<'_>, depth: Format) -> Self {
         match self {
-            Self::Linear { sigma: None, gain } => Self::Linear { sigma: Some(2.0 * mean_depth(list)), gain },
+            Self::Linear { sigma: None, gain } => {
+                Self::Linear { sigma: Some(2.0 * mean_depth(list, depth)), gain }
+            }
             weight => weight,
         }
     }
 
     #[expect(clippy::cast_possible_truncation, reason = "the sums are f32 targets")]
     fn at(self, depth: f32) -> f32 {
+        self.at_f64(depth) as f32
+    }
+
+    fn at_f64(self, depth: f32) -> f64 {
         let z = f64::from(depth);
         let weight = match self {
             Self::Direct => 1.0,
@@ -105,7 +135,15 @@ impl Weight {
             Self::Linear { sigma: None | Some(0.0), gain } => gain,
             Self::Linear { sigma: Some(sigma), gain } => (1.0 - z / sigma).max(0.0) * gain,
         };
-        weight.min(LARGEST) as f32
+        weight.min(LARGEST)
+    }
+
+    /// log2 w: where the exponential underflows, too.
+    fn log2_at(self, depth: f32) -> f64 {
+        match self {
+            Self::Exponential { sigma, gamma } => -sigma * f64::from(depth).powf(gamma) * LOG2_E,
+            _ => self.at_f64(depth).log2(),
+        }
     }
 }
 
@@ -113,36 +151,70 @@ impl Weight {
 const LARGEST: f64 = 1e30;
 
 #[expect(clippy::cast_precision_loss, reason = "a pixel's list is far shorter than 2^52")]
-fn mean_depth(list: List<'_>) -> f64 {
-    list.depth.iter().map(|&z| f64::from(z)).sum::<f64>() / list.len() as f64
+fn mean_depth(list: List<'_>, format: Format) -> f64 {
+    if format == Format::F64 {
+        return list.depth.iter().map(|&z| f64::from(z)).sum::<f64>() / list.len() as f64;
+    }
+    let add = |sum, x| format.round(format.blend(sum, 1.0, x));
+    let sums = list.depth.iter().fold((0.0, 0.0), |(sum, n), &z| (add(sum, z.into()), add(n, 1.0)));
+    format.read(sums.0) / sums.1
 }
 
 struct WeightedSumRendering {
     weight: Weight,
     background_weight: f64,
+    /// How the sums are stored and what depths are summed in, if not by default.
+    stored: Option<(Recipe, Format)>,
+    bytes: f64,
+}
+
+impl WeightedSumRendering {
+    fn sums(&self, list: List<'_>) -> Sums {
+        let weight = self.weight.for_pixel(list, Format::F64);
+        let mut sums = BlendSums::CLEAR;
+        for fragment in list.iter() {
+            sums.add(weight.at(fragment.depth), fragment.color, fragment.alpha);
+        }
+        sums.read(list.len())
+    }
+
+    fn stored_sums(&self, recipe: Recipe, depth: Format, list: List<'_>) -> StoredSums {
+        let weight = self.weight.for_pixel(list, depth);
+        let at = |z| match (recipe.summation.is_scaled(), recipe.rgb) {
+            (true, _) => weight.log2_at(z),
+            (false, Format::F64) => weight.at_f64(z),
+            (false, _) => f64::from(weight.at(z)),
+        };
+        let mut sums = StoredSums::CLEAR;
+        for fragment in list.iter() {
+            sums.add(recipe, at(fragment.depth), fragment.color, fragment.alpha);
+        }
+        sums
+    }
 }
 
 impl Technique for WeightedSumRendering {
     type Scratch = ();
 
     fn resolve(&self, pixel: &Pixel<'_>, (): &mut ()) -> Resolved {
-        let weight = self.weight.for_pixel(pixel.list);
-        let mut sums = BlendSums::CLEAR;
-        for fragment in pixel.list.iter() {
-            sums.add(weight.at(fragment.depth), fragment.color, fragment.alpha);
-        }
-        let total = self.background_weight + sums.alpha();
+        let (sums, saturated) = match self.stored {
+            None => (self.sums(pixel.list), false),
+            Some((recipe, depth)) => {
+                let sums = self.stored_sums(recipe, depth, pixel.list);
+                (sums.read(recipe), sums.saturated)
+            }
+        };
+        let total = self.background_weight + sums.alpha;
         if total == 0.0 {
             return Resolved::background(pixel.background);
         }
-        blend(sums.color() / total, 1.0, self.background_weight / total, pixel.background)
+        let blended = blend(sums.color / total, 1.0, self.background_weight / total, pixel.background);
+        Resolved { dropped: saturated.into(), ..blended }
     }
 
     fn cost(&self, _complexity: &DepthComplexity) -> Cost {
-        match self.weight {
-            Weight::Linear { sigma: None, .. } => Cost { geometry_passes: 2.0, bytes_per_pixel: 16.0 },
-            _ => Cost { geometry_passes: 1.0, bytes_per_pixel: 8.0 },
-        }
+        let automatic = matches!(self.weight, Weight::Linear { sigma: None, .. });
+        Cost { geometry_passes: if automatic { 2.0 } else { 1.0 }, bytes_per_pixel: self.bytes }
     }
 
     fn properties(&self) -> Properties {
@@ -221,6 +293,34 @@ mod tests {
         assert_close(resolve("gs_wsr", &inputs, &beyond), DVec3::from(Vec3::from(BACKGROUND)), 1.0, 0.0);
         let at_the_eye = [fragment(0.0, [1.0; 3], 0.5, 0)];
         assert!(resolve("gs_wsr", &[variant("linear")], &at_the_eye).color.is_finite());
+    }
+
+    /// exp(-z²) of depths whose weights halves do not have.
+    #[test]
+    fn scaled_halves_keep_weights_that_halves_lose() {
+        let far = [fragment(6.0, [1.0, 0.5, 0.0], 0.5, 0), fragment(6.1, [0.0, 0.5, 1.0], 0.5, 1)];
+        let at = |format: &str, summation: &str| {
+            let storage = [("format", format), ("summation", summation), ("variant", "exp")];
+            let storage = storage.map(|(name, value)| (name, Input::Text(value.into())));
+            let rest = [("gamma", Input::Int(2)), ("background_weight", Input::Int(0))];
+            resolve("gs_wsr", &[&storage[..], &rest].concat(), &far)
+        };
+        let exact = at("f64", "plain");
+        assert_close(at("f16", "scaled"), exact.color, 0.0, 1e-3);
+        assert_close(at("f32", "plain"), exact.color, 0.0, F32_STATE);
+        assert_eq!(at("f16", "plain").transmittance.x, 1.0);
+    }
+
+    #[test]
+    fn sums_of_depths_are_stored_too() {
+        let pixel: Vec<_> = (0..5000).map(|i| fragment(1.0, [1.0, 0.5, 0.0], 0.5, i)).collect();
+        let at = |format: &str| {
+            let depth = ("depth_format", Input::Text(format.into()));
+            resolve("gs_wsr", &[variant("linear"), depth], &pixel).transmittance.x
+        };
+        // sum and count both stop at 2048: their quotient is right
+        assert_eq!(at("f16"), at("f32"));
+        assert!((at("f64") - at("f32")).abs() < 1e-9);
     }
 
     #[test]

@@ -41,6 +41,7 @@ pub static INFO: Info = Info {
             "what is scaled to the exact coverage: the tail, or everything",
         ),
     ],
+    targets: &[],
     submission_orders: ANY_ORDER,
     random: false,
     geometry_passes: "1",
@@ -79,7 +80,7 @@ impl Normalize for CountedTail {
     const SEES_ZERO_FRAGMENTS: bool = true;
 
     fn resolve(&self, pixel: &Pixel<'_>, core: &Core, lost: &[u32], _weights: &mut Vec<f32>) -> Resolved {
-        core.over_tail(sums_of(pixel.list, lost).over_as_mean(lost.len(), pixel.background))
+        core.over_tail(sums_of(pixel.list, lost).read(lost.len()).over_as_mean(pixel.background))
     }
 }
 
@@ -89,10 +90,9 @@ struct CountedGlobal;
 impl Normalize for CountedGlobal {
     const SEES_ZERO_FRAGMENTS: bool = true;
 
-    #[expect(clippy::cast_precision_loss, reason = "a pixel's list is far shorter than 2^52")]
     fn resolve(&self, pixel: &Pixel<'_>, core: &Core, lost: &[u32], _weights: &mut Vec<f32>) -> Resolved {
         let tail = sums_of(pixel.list, lost);
-        let (tail_coverage, tail_transmittance) = tail.mean_coverage(lost.len() as f64);
+        let (tail_coverage, tail_transmittance) = tail.read(lost.len()).mean_coverage();
         let coverage = core.coverage + core.transmittance * tail_coverage;
         core.scale_to(&tail, coverage, core.transmittance * tail_transmittance, pixel.background)
     }

@@ -11,6 +11,7 @@ use super::testing::{
     submission_order,
 };
 use super::{REGISTRY, find};
+use crate::format::{Format, FormatSet};
 use crate::fragments::Fragment;
 use crate::params::{Input, Kind, Params, check};
 use crate::technique::{AnyTechnique, Info, Properties, Resolved};
@@ -63,7 +64,11 @@ fn candidates(kind: Kind) -> Vec<Input> {
         Kind::Choice(choices) => choices.iter().copied(),
         _ => [].iter().copied(),
     });
-    let words = words.map(|w| Input::Text(w.to_owned()));
+    let formats = match kind {
+        Kind::Format(formats) => formats,
+        _ => FormatSet::of(&[]),
+    };
+    let words = words.chain(formats.iter().map(Format::name)).map(|w| Input::Text(w.to_owned()));
     [Input::Bool(false), Input::Bool(true)]
         .into_iter()
         .chain(ints)
@@ -76,9 +81,10 @@ fn candidates(kind: Kind) -> Vec<Input> {
 /// Every technique with its defaults, with one param changed at a time, and with random params.
 fn variants() -> Vec<Variant> {
     const MIXES: usize = 40;
-    let mut random = Random::new(2);
     let mut variants = Vec::new();
     for info in REGISTRY {
+        // of its own, so that one technique's new param leaves the others' mixes as they were
+        let mut random = Random::new(info.id.bytes().map(u64::from).sum());
         let table = info.param_table();
         let choices: Vec<Vec<(String, Input)>> = (table.iter())
             .map(|spec| {

@@ -33,6 +33,7 @@ pub static INFO: Info = Info {
         Value::Int(8),
         "layers kept per pixel besides the front accumulator",
     )],
+    targets: &[],
     submission_orders: ANY_ORDER,
     random: false,
     geometry_passes: "1",

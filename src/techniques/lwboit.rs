@@ -1,6 +1,9 @@
 //! Layered weighted blended OIT (Friederichs, Eisemann & Eisemann 2021, FEE21): weighted blending within
 //! depth bins, `over` between them.
 
+mod stored;
+
+use self::stored::{BIN_SUMMATION, StoredBins, Storing, TARGETS};
 use crate::continuum::absorbance::{S_MAX, absorbance};
 use crate::continuum::bins::{BATCH, BinFunction, Bins, REACH, SUPPORT, share_out};
 use crate::continuum::normalize::{Core, sums_of_all};
@@ -8,7 +11,7 @@ use crate::continuum::oracle::{CHUNK, chunks};
 use crate::continuum::range::DepthRange;
 use crate::continuum::sums::BlendSums;
 use crate::error::Result;
-use crate::fragments::List;
+use crate::fragments::{List, Lists};
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{
     AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties, Resolved, Technique,
@@ -90,6 +93,7 @@ pub static INFO: Info = Info {
             "fragments kept per pixel in submission order, the others dropped and counted; 0 is unlimited",
         )
         .when(|p| p.text("storage") == "ll"),
+        BIN_SUMMATION,
         weight::WEIGHT,
         weight::WEIGHT_K,
         weight::WEIGHT_SCALE,
@@ -99,11 +103,12 @@ pub static INFO: Info = Info {
         DepthRange::param("scene"),
         S_MAX.when(|p| p.bool("smooth") && p.text("partition") == "absorbance"),
     ],
+    targets: &TARGETS,
     submission_orders: ANY_ORDER,
     random: false,
     geometry_passes: "lr: ceil(bins / 32), 1 more to normalize, 1 more for shape or range=\"pixel\"; ll: 1",
-    bytes_per_pixel: "lr: 10 bins, 2 more to normalize, 4 more for shape or range=\"pixel\"; ll: 16 n + 4 \
-                      (n = mean depth complexity)",
+    bytes_per_pixel: "lr: 20 bins in f32, 10 in f16, one R more to normalize, 4 more for shape or range=\"pixel\"; \
+                      ll: 24 n + 4 in f32, 14 n + 4 in f16 (n = mean depth complexity)",
     build,
 };
 
@@ -133,6 +138,7 @@ fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
         normalize: params.bool("normalize"),
         shape,
         storage,
+        storing: Storing::from_params(params),
         weighting: Weighting::from_params(params)?,
         range,
         range_covers_scene: range.covers(view),
@@ -167,6 +173,7 @@ pub(super) struct LayeredWboit {
     /// Where in bin 1 the first surface lies, in bin widths; `None` does not shape.
     shape: Option<f64>,
     storage: Storage,
+    storing: Storing,
     weighting: Weighting,
     range: DepthRange,
     range_covers_scene: bool,
@@ -178,6 +185,8 @@ pub(super) struct Scratch {
     bins: Bins,
     shaped_depth: Vec<f32>,
     weights: Vec<f32>,
+    stored: StoredBins,
+    nodes: Lists,
 }
 
 /// A pixel's bins. A fragment's z' counts from the near edge of the first one.
@@ -252,6 +261,7 @@ impl LayeredWboit {
             normalize: false,
             shape: None,
             storage: Storage::Bins,
+            storing: Storing::SINGLE,
             weighting,
             range,
             range_covers_scene: false,
@@ -260,7 +270,7 @@ impl LayeredWboit {
 
     /// Blends the fragments of `list` into the bins that `whole` asks for, and composites these.
     pub(super) fn blend_bins(&self, whole: List<'_>, list: List<'_>, scratch: &mut Scratch) -> Core {
-        let Scratch { bins, shaped_depth, weights } = scratch;
+        let Scratch { bins, shaped_depth, weights, .. } = scratch;
         let slicing = self.slicing(whole);
         self.weigh(list, slicing, shaped_depth, weights);
         bins.reset(self.bins);
@@ -303,13 +313,18 @@ impl LayeredWboit {
 
     /// The weights w(z) or, shaped, w(z'): then moving the scene along z changes nothing.
     fn weigh(&self, list: List<'_>, slicing: Slicing, depth: &mut Vec<f32>, weights: &mut Vec<f32>) {
+        self.weighting.evaluate(self.seen_depths(list, slicing, depth), list.alpha, weights);
+    }
+
+    /// What weights see of depths.
+    fn seen_depths<'a>(&self, list: List<'a>, slicing: Slicing, depth: &'a mut Vec<f32>) -> &'a [f32] {
         if self.shape.is_none() {
-            return self.weighting.evaluate(list.depth, list.alpha, weights);
+            return list.depth;
         }
         depth.clear();
         #[expect(clippy::cast_possible_truncation, reason = "weights are evaluated in f32")]
         depth.extend(list.depth.iter().map(|&z| slicing.shifted(z) as f32));
-        self.weighting.evaluate(depth, list.alpha, weights);
+        depth
     }
 
     /// Blends a fragment into its bins, each of which gets a share of its absorbance.
@@ -380,37 +395,45 @@ impl Technique for LayeredWboit {
 
     fn resolve(&self, pixel: &Pixel<'_>, scratch: &mut Scratch) -> Resolved {
         let list = self.kept(pixel.list);
-        let layers = self.blend_bins(list, list, scratch);
-        Resolved {
-            dropped: (pixel.list.len() - list.len()) as u64,
-            ..self.composite(&layers, list, pixel.background)
+        let Scratch { shaped_depth, stored, nodes, .. } = scratch;
+        if let Some(resolved) = self.resolve_stored(list, pixel.background, shaped_depth, stored) {
+            return resolved;
         }
+        let dropped = (pixel.list.len() - list.len()) as u64;
+        let mut nodes = std::mem::take(nodes);
+        let rounded = self.storing.round(list, &mut nodes).unwrap_or(list);
+        let layers = self.blend_bins(rounded, rounded, scratch);
+        let resolved = Resolved { dropped, ..self.composite(&layers, rounded, pixel.background) };
+        scratch.nodes = nodes;
+        resolved
     }
 
     #[expect(clippy::cast_precision_loss, reason = "a cost estimate")]
     fn cost(&self, complexity: &DepthComplexity) -> Cost {
         if let Storage::Lists { capacity } = self.storage {
             let nodes = complexity.mean.min(capacity as f64);
-            return Cost { geometry_passes: 1.0, bytes_per_pixel: 16.0 * nodes + 4.0 };
+            return Cost { geometry_passes: 1.0, bytes_per_pixel: self.storing.node_bytes * nodes + 4.0 };
         }
         let (net, depth) = (u8::from(self.normalize), u8::from(self.needs_depth_pass()));
         Cost {
             geometry_passes: self.bins.div_ceil(BATCH) as f64 + f64::from(net + depth),
-            bytes_per_pixel: 10.0 * self.bins as f64 + f64::from(2 * net + 4 * depth),
+            bytes_per_pixel: self.storing.bin_bytes * self.bins as f64
+                + self.storing.net_bytes * f64::from(net)
+                + f64::from(4 * depth),
         }
     }
 
     fn properties(&self) -> Properties {
         let whole = !self.loses_fragments();
         let exact = self.normalize || self.sharing == Sharing::Naive;
-        Properties {
+        self.storing.promises(Properties {
             order_independent: whole,
             unbiased: false,
             consistent: whole && self.range_covers_scene && !matches!(self.sharing, Sharing::Coverage(_)),
             exact_for_one: exact,
             exact_for_one_color: exact && whole,
             exact_coverage: exact && whole,
-        }
+        })
     }
 }
 

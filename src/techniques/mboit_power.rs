@@ -41,6 +41,7 @@ pub static INFO: Info = Info {
         S_MAX,
         Composite::param("normalize"),
     ],
+    targets: &[],
     submission_orders: ANY_ORDER,
     random: false,
     geometry_passes: "2",

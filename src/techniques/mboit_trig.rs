@@ -48,6 +48,7 @@ pub static INFO: Info = Info {
             "angle between the far end of the range and the near one; mass found there counts as in front",
         ),
     ],
+    targets: &[],
     submission_orders: ANY_ORDER,
     random: false,
     geometry_passes: "2",

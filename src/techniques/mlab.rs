@@ -33,6 +33,7 @@ pub static INFO: Info = Info {
         Value::Int(4),
         "layers kept per pixel; the error vanishes with as many as there are fragments",
     )],
+    targets: &[],
     submission_orders: ANY_ORDER,
     random: false,
     geometry_passes: "1",

@@ -65,6 +65,7 @@ pub static INFO: Info = Info {
         .when(|p| p.text("mode") == "transmittance"),
         DepthRange::param("pixel").when(|p| p.text("mode") == "depth"),
     ],
+    targets: &[],
     submission_orders: ANY_ORDER,
     random: false,
     geometry_passes: "min_depth: 2; depth: 1, 1 more for range=\"pixel\"; transmittance: 1",

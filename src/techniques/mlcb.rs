@@ -56,6 +56,7 @@ pub static INFO: Info = Info {
         )
         .when(|p| p.text("store") == "hybrid"),
     ],
+    targets: &[],
     submission_orders: ANY_ORDER,
     random: true,
     geometry_passes: "1",

@@ -1,6 +1,7 @@
 //! The registry: one line to name a technique's file, one to list it. Nothing else knows their number.
 
 use crate::error::{Error, Result};
+use crate::format::target::param_specs;
 use crate::order::SUBMISSION_ORDERS;
 use crate::params::{Kind, ParamSpec, Value, View, check};
 use crate::technique::{AnyTechnique, Info};
@@ -95,7 +96,7 @@ pub fn find(id: &str) -> Result<&'static Info> {
 }
 
 impl Info {
-    /// The technique's own params and the two that every technique takes.
+    /// The technique's own params, those of its storage formats, and the two that every technique takes.
     pub fn param_table(&self) -> Vec<ParamSpec> {
         let order = ParamSpec::new(
             "submission_order",
@@ -110,7 +111,7 @@ impl Info {
             "picks the shuffle and every random draw",
         );
         let seed = if self.random { seed } else { seed.when(|p| p.text("submission_order") == "shuffled") };
-        self.params.iter().copied().chain([order, seed]).collect()
+        self.params.iter().copied().chain(param_specs(self.targets)).chain([order, seed]).collect()
     }
 }
 

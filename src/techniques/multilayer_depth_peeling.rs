@@ -39,6 +39,7 @@ pub static INFO: Info = Info {
             .when(|p| p.text("mode") == "nearest"),
         DepthRange::param("pixel").when(|p| p.text("mode") == "bucket"),
     ],
+    targets: &[],
     submission_orders: ANY_ORDER,
     random: false,
     geometry_passes: "passes; bucket: 1, 1 more for range=\"pixel\"",

@@ -39,6 +39,7 @@ pub static INFO: Info = Info {
         S_MAX,
         Composite::param("none"),
     ],
+    targets: &[],
     submission_orders: ANY_ORDER,
     random: false,
     geometry_passes: "2",

@@ -1,7 +1,8 @@
 //! The painter's algorithm: alpha compositing of whole primitives, sorted by the depth of their centroid.
 
-use super::alpha_compositing::{AlphaCompositing, EXACT_COVERAGE};
+use super::alpha_compositing::{EXACT_COVERAGE, composite};
 use crate::error::Result;
+use crate::format::{Formats, Target};
 use crate::params::{Params, View};
 use crate::technique::{AnyTechnique, Axes, Info, Properties};
 
@@ -21,17 +22,18 @@ pub static INFO: Info = Info {
         opacity: "alpha",
     },
     params: &[],
+    targets: &[Target::COLOR],
     submission_orders: &["centroid"],
     random: false,
     geometry_passes: "1",
-    bytes_per_pixel: "8 (and a sort of the primitives)",
+    bytes_per_pixel: "a framebuffer: 16 in f32, 8 in f16, 4 in 8 bits (and a sort of the primitives)",
     build,
 };
 
 #[expect(clippy::unnecessary_wraps, reason = "the signature of every technique's build")]
-fn build(_params: &Params, _view: &View) -> Result<Box<dyn AnyTechnique>> {
+fn build(params: &Params, _view: &View) -> Result<Box<dyn AnyTechnique>> {
     let properties = Properties { order_independent: true, ..EXACT_COVERAGE };
-    Ok(Box::new(AlphaCompositing { properties }))
+    Ok(composite(properties, &Formats::from_params(INFO.targets, params)))
 }
 
 #[cfg(test)]

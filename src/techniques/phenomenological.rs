@@ -2,8 +2,11 @@
 //! background in colour.
 
 use super::blended_oit::BLENDED;
-use crate::continuum::sums::BlendSums;
+use crate::continuum::stored_sums::{FixedLog, Recipe, StoredSums};
+use crate::continuum::sums::{BlendSums, Sums};
 use crate::error::Result;
+use crate::format::{Format, FormatSet, Formats, SUMMATION, Summation, Target};
+use crate::fragments::List;
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{
     AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties, Resolved, Technique,
@@ -43,18 +46,37 @@ pub static INFO: Info = Info {
             Value::Float(0.0),
             "least sum of weights to divide by; 1e-5 is the authors' shaders', which darkens faint fragments",
         ),
+        SUMMATION,
     ],
+    targets: &[Target::ACCUMULATION, MODULATION],
     submission_orders: ANY_ORDER,
     random: false,
     geometry_passes: "1",
-    bytes_per_pixel: "12 (sums and the background's share per channel)",
+    bytes_per_pixel: "4 sums and the background's share per channel: 32 in f32, 16 in f16, 4 less with the share in unorm8",
     build,
+};
+
+/// B, the background's share per channel; the authors' is RGBA8.
+const MODULATION: Target = Target {
+    name: "modulation",
+    param: "modulation_format",
+    doc: "format of the background's share per channel; format=\"f32\" keeps it in f64, the authors' shaders in unorm8",
+    formats: FormatSet::SHARES,
+    channels: 3,
+    double: true,
+    active: |_| true,
 };
 
 fn build(params: &Params, _view: &View) -> Result<Box<dyn AnyTechnique>> {
     let Value::Rgb(transmission) = params.value("transmission") else {
         unreachable!("a value of this kind is three numbers")
     };
+    let formats = Formats::from_params(INFO.targets, params);
+    let recipe = Recipe::from_params(&formats, params);
+    // the fixed-point logarithms of the shares
+    let fixed = recipe.summation == Summation::Fixed;
+    let logarithms = if fixed { 24.0 - formats.bytes_of("modulation") } else { 0.0 };
+    let default = formats.are_default() && recipe.summation == Summation::Plain;
     Ok(Box::new(Phenomenological {
         weighting: Weighting::new(
             Function::Published(Formula::I3d16(Planes::from_params(params)?)),
@@ -63,6 +85,8 @@ fn build(params: &Params, _view: &View) -> Result<Box<dyn AnyTechnique>> {
         ),
         transmission: DVec3::from(transmission),
         divisor_floor: params.float("divisor_floor"),
+        stored: (!default).then_some((recipe, formats.of("modulation"))),
+        bytes: recipe.bytes_per_pixel(&formats, formats.bytes_of("accumulation")) + logarithms,
     }))
 }
 
@@ -71,6 +95,9 @@ struct Phenomenological {
     /// τ.
     transmission: DVec3,
     divisor_floor: f64,
+    /// How the sums are stored and what the background's share is stored in, if not by default.
+    stored: Option<(Recipe, Format)>,
+    bytes: f64,
 }
 
 /// Working memory: a' and w of each fragment.
@@ -78,6 +105,7 @@ struct Phenomenological {
 struct Scratch {
     alpha: Vec<f32>,
     weights: Vec<f32>,
+    stored_weights: Vec<f64>,
 }
 
 /// How much of the background all fragments cover, and what that leaves, B; each is kept for itself, as
@@ -100,6 +128,36 @@ impl Modulation {
         net
     }
 
+    /// The same in integers, whose sum does not depend on the order.
+    fn fixed(alphas: &[f32], transmission: DVec3) -> Self {
+        let (mut coverage, mut transmittance) = ([0.0; 3], [1.0; 3]);
+        for channel in 0..3 {
+            let mut log = FixedLog::default();
+            let kept = 1.0 - transmission[channel];
+            alphas.iter().for_each(|&alpha| log.attenuate(f64::from(alpha) * kept));
+            (transmittance[channel], coverage[channel]) = log.shares();
+        }
+        Self { coverage: coverage.into(), transmittance: transmittance.into() }
+    }
+
+    /// The same in a target of a format.
+    #[expect(clippy::cast_possible_truncation, reason = "blend factors are f32")]
+    fn stored(alphas: &[f32], transmission: DVec3, format: Format) -> Self {
+        if format == Format::F64 {
+            return Self::by(alphas, transmission);
+        }
+        let mut shares = [1.0; 3];
+        for &alpha in alphas {
+            let factors = 1.0 - f64::from(alpha) * (1.0 - transmission);
+            for (share, factor) in shares.iter_mut().zip(factors.to_array()) {
+                *share = format.blend(*share, f64::from(factor as f32), 0.0);
+            }
+            format.round_texel(&mut shares);
+        }
+        let transmittance = DVec3::from(shares);
+        Self { coverage: 1.0 - transmittance, transmittance }
+    }
+
     /// `(1 − B) color / alpha + B background`; the background's share alone where there is no alpha.
     fn cover(&self, color: DVec3, alpha: f64, background: DVec3) -> Resolved {
         let share = if alpha > 0.0 { self.coverage / alpha } else { DVec3::ZERO };
@@ -113,12 +171,25 @@ impl Modulation {
 }
 
 impl Phenomenological {
-    /// Σ w (C, a'), with a' = a (1 − mean τ).
-    fn accumulate(&self, pixel: &Pixel<'_>, Scratch { alpha, weights }: &mut Scratch) -> BlendSums {
+    /// a' = a (1 − mean τ).
+    fn thin(&self, list: List<'_>, alpha: &mut Vec<f32>) {
         #[expect(clippy::cast_possible_truncation, reason = "the sums are f32 targets")]
         let kept = (1.0 - self.transmission.element_sum() / 3.0) as f32;
         alpha.clear();
-        alpha.extend(pixel.list.alpha.iter().map(|a| a * kept));
+        alpha.extend(list.alpha.iter().map(|a| a * kept));
+    }
+
+    /// Σ w (C, a') as `recipe` stores it.
+    fn store(&self, recipe: Recipe, list: List<'_>, scratch: &mut Scratch) -> StoredSums {
+        let Scratch { alpha, stored_weights, .. } = scratch;
+        self.thin(list, alpha);
+        recipe.blend_list(Some(&self.weighting), List { alpha, ..list }, stored_weights)
+    }
+
+    /// Σ w (C, a').
+    fn accumulate(&self, pixel: &Pixel<'_>, scratch: &mut Scratch) -> BlendSums {
+        let Scratch { alpha, weights, .. } = scratch;
+        self.thin(pixel.list, alpha);
         self.weighting.evaluate(pixel.list.depth, alpha, weights);
         let mut sums = BlendSums::CLEAR;
         for ((&weight, &color), &alpha) in weights.iter().zip(pixel.list.color).zip(alpha.iter()) {
@@ -128,8 +199,8 @@ impl Phenomenological {
     }
 
     /// What the sum of colours is divided by.
-    fn divisor(&self, sums: &BlendSums) -> f64 {
-        if sums.alpha() > 0.0 { sums.alpha().max(self.divisor_floor) } else { 0.0 }
+    fn divisor(&self, sums: &Sums) -> f64 {
+        if sums.alpha > 0.0 { sums.alpha.max(self.divisor_floor) } else { 0.0 }
     }
 }
 
@@ -138,19 +209,38 @@ impl Technique for Phenomenological {
     const COLORED_TRANSMITTANCE: bool = true;
 
     fn resolve(&self, pixel: &Pixel<'_>, scratch: &mut Scratch) -> Resolved {
-        let sums = self.accumulate(pixel, scratch);
+        if let Some((recipe, format)) = self.stored {
+            let stored = self.store(recipe, pixel.list, scratch);
+            let shares = match recipe.summation {
+                Summation::Fixed => Modulation::fixed(pixel.list.alpha, self.transmission),
+                _ => Modulation::stored(pixel.list.alpha, self.transmission, format),
+            };
+            let sums = stored.read(recipe);
+            let resolved = shares.cover(sums.color, self.divisor(&sums), pixel.background);
+            return Resolved { dropped: stored.saturated.into(), ..resolved };
+        }
+        let sums = self.accumulate(pixel, scratch).read(pixel.list.len());
         let modulation = Modulation::by(pixel.list.alpha, self.transmission);
-        modulation.cover(sums.color(), self.divisor(&sums), pixel.background)
+        modulation.cover(sums.color, self.divisor(&sums), pixel.background)
     }
 
     fn cost(&self, _complexity: &DepthComplexity) -> Cost {
-        Cost { geometry_passes: 1.0, bytes_per_pixel: 12.0 }
+        Cost { geometry_passes: 1.0, bytes_per_pixel: self.bytes }
     }
 
     fn properties(&self) -> Properties {
         let blocks = self.transmission == DVec3::ZERO;
         let exact = blocks && self.divisor_floor == 0.0;
-        Properties { exact_for_one: exact, exact_for_one_color: exact, exact_coverage: blocks, ..BLENDED }
+        let promises = Properties {
+            exact_for_one: exact,
+            exact_for_one_color: exact,
+            exact_coverage: blocks,
+            ..BLENDED
+        };
+        match self.stored {
+            None => promises,
+            Some((recipe, format)) => Recipe { revealage: format, ..recipe }.properties(promises),
+        }
     }
 }
 
@@ -221,6 +311,34 @@ mod tests {
         // its weight is 1e-2, so the sum is 1e-6
         let darkened = color - 0.9 * 1e-4;
         assert_close(floored, darkened, transmittance, F32_STATE);
+    }
+
+    fn word(name: &'static str, value: &str) -> (&'static str, Input) {
+        (name, Input::Text(value.into()))
+    }
+
+    /// The authors' targets: halves and 8 bits of the background's share, which do not see what is faint.
+    #[test]
+    fn the_authors_targets_lose_faint_fragments() {
+        let faint: Vec<_> = (0..300).map(|i| fragment(1.0, [0.5; 3], 1.0 / 520.0, i)).collect();
+        let targets = [word("format", "f16"), word("modulation_format", "unorm8")];
+        assert_eq!(resolve(ID, &targets, &faint).transmittance, DVec3::ONE);
+        let pixel = random_pixel(20, 4);
+        let (got, exact) = (resolve(ID, &targets, &pixel), resolve(ID, &[], &pixel));
+        assert!((got.color - exact.color).abs().max_element() < 0.02, "{got:?} {exact:?}");
+    }
+
+    #[test]
+    fn every_summation_is_the_same_within_its_precision() {
+        let pixel = random_pixel(40, 6);
+        for tau in [[0.0; 3], [0.9, 0.5, 0.0]] {
+            let exact = resolve(ID, &[word("format", "f64"), transmission(tau)], &pixel);
+            for summation in ["plain", "compensated", "fixed", "scaled", "scaled_double"] {
+                let got = resolve(ID, &[word("summation", summation), transmission(tau)], &pixel);
+                let far = (got.color - exact.color).abs().max_element();
+                assert!(far < 1e-5, "{summation}: {far:e}");
+            }
+        }
     }
 
     #[test]

@@ -34,6 +34,7 @@ pub static INFO: Info = Info {
         Value::Int(16),
         "depth and colour samples per pixel",
     )],
+    targets: &[],
     submission_orders: ANY_ORDER,
     random: false,
     geometry_passes: "1",

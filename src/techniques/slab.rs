@@ -77,6 +77,7 @@ pub static INFO: Info = Info {
              is hidden later may have pushed out a visible one",
         ),
     ],
+    targets: &[],
     submission_orders: ANY_ORDER,
     random: true,
     geometry_passes: "stored: 1; all: 2",

@@ -55,6 +55,7 @@ pub static INFO: Info = Info {
             "samples keep colours and are averaged, or keep depths alone, for a second pass to look through",
         ),
     ],
+    targets: &[],
     submission_orders: ANY_ORDER,
     random: true,
     geometry_passes: "color: 1, 1 more for correction=\"alpha\"; depth: 2",
@@ -135,7 +136,7 @@ impl<W: Words> Technique for StochasticColor<W> {
             net.add(1.0, color, alpha);
         }
         // no sample covered: the layers' share stays black
-        net.cover(shown.average(self.masks.bits).unwrap_or(DVec3::ZERO), pixel.background)
+        net.read(0).cover(shown.average(self.masks.bits).unwrap_or(DVec3::ZERO), pixel.background)
     }
 
     fn transmittance(&self, pixel: &Pixel<'_>, depths: &[f32], samples: &mut Samples<W>) -> Option<Vec<f64>> {

@@ -42,6 +42,7 @@ pub static INFO: Info = Info {
         S_MAX.when(is_extinction),
         Composite::param("none"),
     ],
+    targets: &[],
     submission_orders: ANY_ORDER,
     random: false,
     geometry_passes: "2",

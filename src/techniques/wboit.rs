@@ -1,8 +1,11 @@
 //! Weighted blended OIT (`McGuire` & Bavoil 2013, eq. 6): a depth-weighted average at the exact coverage.
 
 use super::blended_oit::BLENDED;
-use crate::continuum::sums::{BlendSums, Blended, SumsOf, finish_each};
+use crate::continuum::stored::Stored;
+use crate::continuum::stored_sums::Recipe;
+use crate::continuum::sums::{Blended, Sums, SumsOf, finish_each};
 use crate::error::Result;
+use crate::format::{FormatSet, Formats, SUMMATION, Summation, Target};
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{
     AnyTechnique, Axes, Cost, DepthComplexity, Finished, Info, Pixel, Properties, Resolved, Streamed,
@@ -41,17 +44,60 @@ pub static INFO: Info = Info {
             "divide by the sum of weights clamped to [1e-4, 5e4], as MB13 Listing 3 is printed; darkens faint \
              fragments at the weights' floor",
         ),
+        ParamSpec::new(
+            "layout",
+            Kind::Choice(&["listing3", "listing4", "monochrome"]),
+            Value::Text("listing3"),
+            "what is in which target: (w C, w a) and R (MB13 Listing 3); (w C, R) and w a, which need no blend function \
+             per target (Listing 4); or (w C, w a, 0, R) in one target, with C the luminance (MB13 section 3.4)",
+        ),
+        SUMMATION,
+    ],
+    targets: &[
+        Target::ACCUMULATION,
+        Target::REVEALAGE.when(|params| params.text("layout") == "listing3"),
+        WEIGHTS.when(|params| params.text("layout") == "listing4"),
     ],
     submission_orders: ANY_ORDER,
     random: false,
     geometry_passes: "1",
-    bytes_per_pixel: "10 (sums and R)",
+    bytes_per_pixel: "4 sums and R: 20 in f32, 10 in f16; monochrome: 16 and 8",
     build,
 };
 
 fn build(params: &Params, _view: &View) -> Result<Box<dyn AnyTechnique>> {
     let weighting = Weighting::from_params(params)?;
-    Ok(Box::new(Wboit { weighting, listing3_clamp: params.bool("listing3_clamp") }))
+    let wboit = Wboit { weighting, listing3_clamp: params.bool("listing3_clamp") };
+    let formats = Formats::from_params(INFO.targets, params);
+    let recipe = recipe(&formats, params);
+    let layout = params.text("layout");
+    if layout == "listing3" && formats.are_default() && recipe.summation == Summation::Plain {
+        return Ok(Box::new(wboit));
+    }
+    let sums = formats.bytes_of("accumulation") + formats.bytes_of("weights");
+    Ok(Stored::boxed(wboit, recipe, recipe.bytes_per_pixel(&formats, sums)))
+}
+
+/// Σ w a, which Listing 4 keeps apart.
+const WEIGHTS: Target = Target {
+    name: "weights",
+    param: "weights_format",
+    doc: "format of the sum of weighted alphas where layout=\"listing4\" keeps it apart",
+    formats: FormatSet::FLOATS,
+    channels: 1,
+    double: false,
+    active: |_| true,
+};
+
+/// Which numbers are in which target's format.
+fn recipe(formats: &Formats, params: &Params) -> Recipe {
+    let recipe = Recipe::from_params(formats, params);
+    let accumulation = recipe.rgb;
+    match params.text("layout") {
+        "listing4" => Recipe { alpha: formats.of("weights"), revealage: accumulation.of_alpha(), ..recipe },
+        "monochrome" => Recipe { monochrome: true, revealage: accumulation.of_alpha(), ..recipe },
+        _ => Recipe { revealage: formats.of("revealage"), ..recipe },
+    }
 }
 
 /// A weighted average at the exact coverage.
@@ -67,9 +113,9 @@ impl Blended for Wboit {
         Some(&self.weighting)
     }
 
-    fn finish(&self, sums: &BlendSums, _count: usize, background: DVec3) -> Resolved {
+    fn finish(&self, sums: &Sums, background: DVec3) -> Resolved {
         if self.listing3_clamp {
-            return sums.cover(sums.color() / sums.alpha().clamp(1e-4, 5e4), background);
+            return sums.cover(sums.color / sums.alpha.clamp(1e-4, 5e4), background);
         }
         sums.over(background)
     }
@@ -94,7 +140,7 @@ impl Technique for Wboit {
     }
 
     fn cost(&self, _complexity: &DepthComplexity) -> Cost {
-        Cost { geometry_passes: 1.0, bytes_per_pixel: 10.0 }
+        Cost { geometry_passes: 1.0, bytes_per_pixel: 20.0 }
     }
 
     fn properties(&self) -> Properties {

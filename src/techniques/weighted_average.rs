@@ -1,7 +1,10 @@
 //! Weighted average (Bavoil & Myers 2008): every fragment becomes the mean fragment.
 
-use crate::continuum::sums::{BlendSums, Blended};
+use crate::continuum::stored::Stored;
+use crate::continuum::stored_sums::Recipe;
+use crate::continuum::sums::{Blended, Sums};
 use crate::error::Result;
+use crate::format::{FormatSet, Formats, SUMMATION, Summation, Target};
 use crate::params::{Params, View};
 use crate::technique::{
     AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties, Resolved, Streamed, Technique,
@@ -25,25 +28,32 @@ pub static INFO: Info = Info {
         normalize: "no",
         opacity: "alpha",
     },
-    params: &[],
+    params: &[SUMMATION],
+    targets: &[Target::ACCUMULATION.of(FormatSet::SMALL_SUMS), Target::COUNT],
     submission_orders: ANY_ORDER,
     random: false,
     geometry_passes: "1",
-    bytes_per_pixel: "10 (sums and a count)",
+    bytes_per_pixel: "4 sums and a count: 20 in f32, 10 in f16",
     build,
 };
 
 #[expect(clippy::unnecessary_wraps, reason = "the signature of every technique's build")]
-fn build(_params: &Params, _view: &View) -> Result<Box<dyn AnyTechnique>> {
-    Ok(Box::new(WeightedAverage))
+fn build(params: &Params, _view: &View) -> Result<Box<dyn AnyTechnique>> {
+    let formats = Formats::from_params(INFO.targets, params);
+    let recipe = Recipe { count: formats.of("count"), ..Recipe::from_params(&formats, params) };
+    if formats.are_default() && recipe.summation == Summation::Plain {
+        return Ok(Box::new(WeightedAverage));
+    }
+    let bytes = recipe.bytes_per_pixel(&formats, formats.bytes_of("accumulation"));
+    Ok(Stored::boxed(WeightedAverage, recipe, bytes))
 }
 
 struct WeightedAverage;
 
 impl Blended for WeightedAverage {
     /// MB13 eq. 4, Listing 2.
-    fn finish(&self, sums: &BlendSums, count: usize, background: DVec3) -> Resolved {
-        sums.over_as_mean(count, background)
+    fn finish(&self, sums: &Sums, background: DVec3) -> Resolved {
+        sums.over_as_mean(background)
     }
 }
 
@@ -60,7 +70,7 @@ impl Technique for WeightedAverage {
     }
 
     fn cost(&self, _complexity: &DepthComplexity) -> Cost {
-        Cost { geometry_passes: 1.0, bytes_per_pixel: 10.0 }
+        Cost { geometry_passes: 1.0, bytes_per_pixel: 20.0 }
     }
 
     fn properties(&self) -> Properties {

@@ -1,7 +1,10 @@
 //! Sort-independent alpha blending (Meshkin 2007): the terms of `over` that do not depend on order.
 
-use crate::continuum::sums::{BlendSums, Blended};
+use crate::continuum::stored::Stored;
+use crate::continuum::stored_sums::Recipe;
+use crate::continuum::sums::{Blended, Sums};
 use crate::error::Result;
+use crate::format::{FormatSet, Formats, SUMMATION, Summation, Target};
 use crate::params::{Params, View};
 use crate::technique::{
     AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties, Resolved, Streamed, Technique,
@@ -24,17 +27,23 @@ pub static INFO: Info = Info {
         normalize: "no",
         opacity: "alpha",
     },
-    params: &[],
+    params: &[SUMMATION],
+    targets: &[Target::ACCUMULATION.of(FormatSet::SMALL_SUMS)],
     submission_orders: ANY_ORDER,
     random: false,
     geometry_passes: "1",
-    bytes_per_pixel: "8",
+    bytes_per_pixel: "4 numbers of the format: 16 in f32, 8 in f16",
     build,
 };
 
 #[expect(clippy::unnecessary_wraps, reason = "the signature of every technique's build")]
-fn build(_params: &Params, _view: &View) -> Result<Box<dyn AnyTechnique>> {
-    Ok(Box::new(WeightedSum))
+fn build(params: &Params, _view: &View) -> Result<Box<dyn AnyTechnique>> {
+    let formats = Formats::from_params(INFO.targets, params);
+    let recipe = Recipe::from_params(&formats, params);
+    if formats.are_default() && recipe.summation == Summation::Plain {
+        return Ok(Box::new(WeightedSum));
+    }
+    Ok(Stored::boxed(WeightedSum, recipe, recipe.bytes_per_pixel(&formats, formats.bytes_of("accumulation"))))
 }
 
 /// Premultiplied colours added up.
@@ -42,9 +51,9 @@ pub(super) struct WeightedSum;
 
 impl Blended for WeightedSum {
     /// MB13 eq. 3, Listing 1.
-    fn finish(&self, sums: &BlendSums, _count: usize, background: DVec3) -> Resolved {
-        let transmittance = 1.0 - sums.alpha();
-        Resolved::new(sums.color() + transmittance * background, transmittance)
+    fn finish(&self, sums: &Sums, background: DVec3) -> Resolved {
+        let transmittance = 1.0 - sums.alpha;
+        Resolved::new(sums.color + transmittance * background, transmittance)
     }
 }
 
@@ -60,7 +69,7 @@ impl Technique for WeightedSum {
     }
 
     fn cost(&self, _complexity: &DepthComplexity) -> Cost {
-        Cost { geometry_passes: 1.0, bytes_per_pixel: 8.0 }
+        Cost { geometry_passes: 1.0, bytes_per_pixel: 16.0 }
     }
 
     fn properties(&self) -> Properties {

@@ -36,6 +36,7 @@ pub static INFO: Info = Info {
             "where a merged layer lies: at the nearer of its two depths, or at their mean",
         ),
     ],
+    targets: &[],
     submission_orders: ANY_ORDER,
     random: false,
     geometry_passes: "1",

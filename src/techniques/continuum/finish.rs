@@ -39,7 +39,7 @@ impl Normalize for Finish {
             Self::Samples => {
                 // where no sample is covered, nothing is known of the layers' colour
                 let average = if core.coverage > 0.0 { core.color / core.coverage } else { DVec3::ZERO };
-                sums_of_all(pixel.list).cover(average, pixel.background)
+                sums_of_all(pixel.list).read(pixel.list.len()).cover(average, pixel.background)
             }
         }
     }

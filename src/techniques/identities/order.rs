@@ -1,6 +1,7 @@
 //! Order of submission: it matters exactly where a technique does not promise that it does not.
 
 use super::{OTHER_ORDER, Variant, pixels, variants};
+use crate::format::Format;
 use crate::fragments::Fragment;
 use crate::order::SubmissionOrder;
 use crate::params::{Params, Value};
@@ -43,14 +44,28 @@ fn order_matters_exactly_where_it_is_not_claimed_to_be_irrelevant() {
 }
 
 /// What another order may do to sums in f32. Moments amplify their rounding: the bias of the papers keeps it
-/// below what implementations may differ by, less bias below what they may at worst (sheet 2.5).
+/// below what implementations may differ by, less bias below what they may at worst (sheet 2.5). Narrower formats round
+/// more, once per layer.
 fn rounding(variant: &Variant) -> f64 {
     let bias = variant.params.iter().find(|(name, _)| *name == "bias");
-    match bias.map(|(_, value)| value) {
+    let rounding = match bias.map(|(_, value)| value) {
         None => OTHER_ORDER,
         Some(Value::Float(bias)) if bias >= 1e-7 => 2e-3,
         Some(_) => 0.1,
-    }
+    };
+    let summation = variant.params.iter().any(|param| param == ("summation", Value::Text("fixed")));
+    if summation { 0.0 } else { rounding.max(narrow_rounding(&variant.params)) }
+}
+
+/// The unit roundoff of the narrowest format, twice per layer.
+fn narrow_rounding(params: &Params) -> f64 {
+    let is_format = |name: &str| name.ends_with("_format");
+    let formats = params.identity().into_iter().filter(|(name, _)| is_format(name));
+    let narrow = formats.filter_map(|(_, value)| match value {
+        Value::Text(name) => Format::from_name(name).filter(|format| *format != Format::F32),
+        _ => None,
+    });
+    narrow.map(|format| 2.0 * 64.0 * format.unit_roundoff()).fold(0.0, f64::max)
 }
 
 /// Whether the size is such that order has next to nothing to decide: room for all fragments that there are,

@@ -2,8 +2,12 @@
 //!
 //! A weight maps slices to a slice, so that a formula vectorises and a user's own weight enters through the
 //! same door as the published ones. The formulas are those of `McGuire` & Bavoil 2013 (MB13) and of the
-//! I3D 2016 shaders of the phenomenological model. A constant factor cancels in every technique.
+//! I3D 2016 shaders of the phenomenological model. A constant factor cancels in every technique. What is stored in more
+//! than f32, or in multiples of a power of two, takes weights in f64 or their logarithms (`log.rs`).
 
+mod log;
+
+use crate::continuum::functions::exp;
 use crate::error::Result;
 use crate::params::{Kind, ParamSpec, Params, Value};
 use multiversion::multiversion;
@@ -38,6 +42,11 @@ pub enum Formula {
     /// `z^-k`: MB13's scenes use k = 4 and 5.
     InvPow {
         /// The exponent.
+        k: f32,
+    },
+    /// `exp(-k z)`: what lies behind a uniform medium (Beer-Lambert, MB13 §3.2).
+    Exp {
+        /// The absorbance per unit of depth.
         k: f32,
     },
     /// MB13 Fig. 1.
@@ -180,6 +189,8 @@ impl Formula {
                 fill(at, weights, |z, a| a * (3e3 * cube(planes.one_minus_depth(z))).max(1e-2));
             }
             Self::InvPow { k } => inverse_power(at, weights, k),
+            #[expect(clippy::cast_possible_truncation, reason = "weights are evaluated in f32")]
+            Self::Exp { k } => fill(at, weights, |z, _| exp(-f64::from(k) * f64::from(z)) as f32),
             Self::Fig1 => fill(at, weights, |z, _| square((z + 5.0).recip())),
             Self::Smoke6 => fill(at, weights, |z, a| square(a / cube(z))),
             Self::Fig10 { k } => fill(at, weights, |z, _| {
@@ -246,6 +257,7 @@ impl Weighting {
             "mb9" => Formula::Mb9,
             "mb10" => Formula::Mb10(planes),
             "inv_pow" => Formula::InvPow { k: k() },
+            "exp" => Formula::Exp { k: k() },
             "fig1" => Formula::Fig1,
             "smoke6" => Formula::Smoke6,
             "fig10" => Formula::Fig10 { k: k() },
@@ -320,20 +332,21 @@ fn planes_matter(params: &Params) -> bool {
 /// The param that picks the function.
 pub const WEIGHT: ParamSpec = ParamSpec::new(
     "weight",
-    Kind::Choice(&["one", "mb7", "mb8", "mb9", "mb10", "inv_pow", "fig1", "smoke6", "fig10", "i3d16"]),
+    Kind::Choice(&["one", "mb7", "mb8", "mb9", "mb10", "inv_pow", "exp", "fig1", "smoke6", "fig10", "i3d16"]),
     Value::Text("mb7"),
     "weight function of depth and coverage: mb7 to mb10 are MB13 eq. 7 to 10, fig1, smoke6 and fig10 those of \
-     its figures 1, 6 and 10, inv_pow is z^-k, i3d16 the phenomenological model's",
+     its figures 1, 6 and 10, inv_pow is z^-k, exp is exp(-k z), i3d16 the phenomenological model's",
 );
-/// The k of `inv_pow` and `fig10`.
+/// The k of `inv_pow`, `exp` and `fig10`.
 pub const WEIGHT_K: ParamSpec =
-    ParamSpec::new("weight_k", Kind::POSITIVE, Value::None, "the k of inv_pow and fig10")
-        .derived("4 (inv_pow), 0.01 (fig10)", |params, _| match params.text("weight") {
+    ParamSpec::new("weight_k", Kind::POSITIVE, Value::None, "the k of inv_pow, exp and fig10")
+        .derived("4 (inv_pow), 1 (exp), 0.01 (fig10)", |params, _| match params.text("weight") {
             "inv_pow" => Value::Float(4.0),
+            "exp" => Value::Float(1.0),
             "fig10" => Value::Float(0.01),
             _ => Value::None,
         })
-        .when(|params| matches!(params.text("weight"), "inv_pow" | "fig10"));
+        .when(|params| matches!(params.text("weight"), "inv_pow" | "exp" | "fig10"));
 /// The depth scale g.
 pub const WEIGHT_SCALE: ParamSpec =
     ParamSpec::new("weight_scale", Kind::POSITIVE, Value::Float(1.0), "weights see scale * z + shift")
@@ -362,130 +375,4 @@ pub const FAR: ParamSpec =
         .when(planes_matter);
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// Relative error of an f32 formula of a dozen operations.
-    const F32_FORMULA: f64 = 2e-6;
-
-    fn weigh(formula: Formula, z: f32, a: f32) -> f64 {
-        let mut weights = Vec::new();
-        Weighting::new(Function::Published(formula), 1.0, 0.0).evaluate(&[z], &[a], &mut weights);
-        f64::from(weights[0])
-    }
-
-    /// The table of sheet 2.4, in f64 and in its own words.
-    fn by_hand(formula: Formula, z: f64, a: f64, near: f64, far: f64) -> f64 {
-        let d = (far * (z - near) / (z * (far - near))).clamp(0.0, 1.0);
-        let mb = |x: f64| a * x.clamp(1e-2, 3e3);
-        match formula {
-            Formula::One => 1.0,
-            Formula::Mb7 => mb(10.0 / (1e-5 + (z / 5.0).powi(2) + (z / 200.0).powi(6))),
-            Formula::Mb8 => mb(10.0 / (1e-5 + (z / 10.0).powi(3) + (z / 200.0).powi(6))),
-            Formula::Mb9 => mb(0.03 / (1e-5 + (z / 200.0).powi(4))),
-            Formula::Mb10(_) => a * f64::max(1e-2, 3e3 * (1.0 - d).powi(3)),
-            Formula::InvPow { k } => z.powf(-f64::from(k)),
-            Formula::Fig1 => (z + 5.0).powi(-2),
-            Formula::Smoke6 => a * a * z.powi(-6),
-            Formula::Fig10 { k } => 10.0 / (1.0 + 10.0 * (f64::from(k) * z).powi(5)),
-            Formula::I3d16(_) => (1e3 * a * (1.0 - 0.99 * d).powi(3)).clamp(1e-2, 30.0),
-        }
-    }
-
-    fn formulas(near: f64, far: f64) -> [Formula; 10] {
-        let planes = Planes::new(near, far);
-        [
-            Formula::One,
-            Formula::Mb7,
-            Formula::Mb8,
-            Formula::Mb9,
-            Formula::Mb10(planes),
-            Formula::InvPow { k: 4.0 },
-            Formula::Fig1,
-            Formula::Smoke6,
-            Formula::Fig10 { k: 0.01 },
-            Formula::I3d16(planes),
-        ]
-    }
-
-    #[test]
-    fn each_formula_is_the_papers() {
-        let (near, far) = (0.5, 300.0);
-        for formula in formulas(near, far) {
-            for z in [0.01, 0.3, 0.5, 1.0, 1.5, 4.0, 30.0, 99.0, 157.0, 158.5, 264.0, 300.0, 500.0_f32] {
-                for a in [0.01, 0.35, 1.0_f32] {
-                    let expected = by_hand(formula, z.into(), a.into(), near, far).max(1e-30);
-                    let got = weigh(formula, z, a);
-                    let error = (got / expected - 1.0).abs();
-                    assert!(error < F32_FORMULA, "{formula:?} z={z} a={a}: {got} for {expected}");
-                }
-            }
-        }
-    }
-
-    /// Where each clamp of MB13 eq. 7 to 10 starts to act (sheet R11).
-    #[test]
-    fn clamps_act_where_the_sheet_says() {
-        let (ceiling, floor) = (f64::from(3e3_f32), f64::from(1e-2_f32));
-        let at = |formula, z| weigh(formula, z, 1.0);
-        assert_eq!(at(Formula::Mb7, 0.288), ceiling);
-        assert!(at(Formula::Mb7, 0.2888) < ceiling);
-        assert!(at(Formula::Mb7, 158.0) > floor);
-        assert_eq!(at(Formula::Mb7, 159.0), floor);
-        assert_eq!(at(Formula::Mb8, 1.49), ceiling);
-        assert!(at(Formula::Mb8, 1.50) < ceiling);
-        assert!(at(Formula::Mb8, 99.8) > floor);
-        assert_eq!(at(Formula::Mb8, 100.0), floor);
-        assert!(at(Formula::Mb9, 2.0) < ceiling);
-        assert!(at(Formula::Mb9, 263.0) > floor);
-        assert_eq!(at(Formula::Mb9, 264.0), floor);
-        let mb10 = Formula::Mb10(Planes::new(0.1, 100.0));
-        assert!(at(mb10, 6.2) > floor);
-        assert_eq!(at(mb10, 6.4), floor);
-    }
-
-    #[test]
-    fn scale_and_shift_move_the_depth_down_to_a_bound() {
-        let mut weights = Vec::new();
-        let weighting = Weighting::new(Function::Published(Formula::InvPow { k: 1.0 }), 2.0, -3.0);
-        weighting.evaluate(&[2.0, 3.5, 0.0], &[1.0; 3], &mut weights);
-        assert_eq!(weights, [1.0, 0.25, MIN_DEPTH.powf(-1.0)]);
-    }
-
-    #[test]
-    fn weights_stay_within_their_bounds() {
-        let depths = [0.0, 1e-30, 1.0, 1e10, 1e30, f32::MAX];
-        let formulas = formulas(1e-30, 1e30).into_iter().chain([
-            Formula::InvPow { k: 1e3 },
-            Formula::InvPow { k: 1e-3 },
-            Formula::Fig10 { k: 1e30 },
-            Formula::Mb10(Planes::new(1.0, 1.0 + f64::EPSILON)),
-            Formula::I3d16(Planes::new(1e300, 1e308)),
-        ]);
-        for formula in formulas {
-            for (z, a) in depths.iter().flat_map(|&z| [0.0, 1e-30, 1.0].map(|a| (z, a))) {
-                for (scale, shift) in [(1.0, 0.0), (1e300, -1e300), (1e-300, 1e300)] {
-                    let mut weights = Vec::new();
-                    Weighting::new(Function::Published(formula), scale, shift).evaluate(
-                        &[z],
-                        &[a],
-                        &mut weights,
-                    );
-                    let (floor, ceiling) = WEIGHT_BOUNDS;
-                    assert!((floor..=ceiling).contains(&weights[0]), "{formula:?} z={z} a={a}: {weights:?}");
-                }
-            }
-        }
-    }
-
-    #[test]
-    fn long_lists_are_weighed_like_short_ones() {
-        let depth: Vec<f32> = (0..1000_u16).map(|i| f32::from(i) * 0.1).collect();
-        let alpha = vec![0.5; depth.len()];
-        let mut all = Vec::new();
-        Weighting::new(Function::Published(Formula::Mb7), 1.0, 0.0).evaluate(&depth, &alpha, &mut all);
-        for (&z, &w) in depth.iter().zip(&all) {
-            assert_eq!(f64::from(w), weigh(Formula::Mb7, z, 0.5));
-        }
-    }
-}
+mod tests;

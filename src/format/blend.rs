@@ -1,0 +1,91 @@
+//! Blend operations with one rounding: the sum is formed exactly, or rounded to odd, before a format rounds it.
+
+use super::Format;
+
+/// `a + b` rounded to odd: truncated, and odd in the last bit where anything was cut off. A format of at most 51
+/// digits rounds the result as it would round the exact sum (Boldo & Melquiond 2008).
+pub fn sum_to_odd(a: f64, b: f64) -> f64 {
+    let sum = a + b;
+    let part = sum - a;
+    let error = (a - (sum - part)) + (b - part);
+    let bits = sum.to_bits();
+    if error == 0.0 || bits & 1 == 1 || !sum.is_finite() {
+        return sum;
+    }
+    f64::from_bits(if (error > 0.0) == (sum > 0.0) { bits + 1 } else { bits - 1 })
+}
+
+impl Format {
+    /// What a blend unit makes of a source or a factor before it blends: formats that end at 1 clamp them (Vulkan,
+    /// "Blending").
+    pub fn clamp_source(self, x: f64) -> f64 {
+        match self {
+            Self::Snorm8 => x.clamp(-1.0, 1.0),
+            _ if self.is_normalized() => x.clamp(0.0, 1.0),
+            _ => x,
+        }
+    }
+
+    /// `destination factor + source`, before it is rounded. Products of stored numbers of up to f32 and f32 factors are
+    /// exact. A factor of 0 hides what has overflowed, too. In a format of equal steps the result is rounded already: it is
+    /// formed in whole steps, since stored numbers are no doubles and ties would go astray.
+    pub fn blend(self, destination: f64, factor: f64, source: f64) -> f64 {
+        let (factor, source) = (self.clamp_source(factor), self.clamp_source(source));
+        if let Some(steps) = self.steps() {
+            let sum = sum_to_odd((destination * steps).round() * factor, source * steps);
+            return sum.clamp(-steps, steps).round_ties_even() / steps;
+        }
+        let kept = if factor == 0.0 { 0.0 } else { destination * factor };
+        if self == Self::F64 { kept + source } else { sum_to_odd(kept, source) }
+    }
+
+    /// What a resolve reads: an infinite number counts as the largest one.
+    pub fn read(self, stored: f64) -> f64 {
+        if stored.is_infinite() { self.max_finite().copysign(stored) } else { stored }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sums_round_once() {
+        // 1 + 2^-11 is half way between two f16; what lies beyond f64 decides
+        let (half_way, tiny) = (1.0 + 2.0_f64.powi(-11), 2.0_f64.powi(-80));
+        assert_eq!(Format::F16.round(half_way + tiny), 1.0);
+        assert_eq!(Format::F16.round(sum_to_odd(half_way, tiny)), 1.0 + 2.0_f64.powi(-10));
+        assert_eq!(Format::F16.round(sum_to_odd(half_way, -tiny)), 1.0);
+        assert_eq!(Format::F16.round(sum_to_odd(-half_way, -tiny)), -1.0 - 2.0_f64.powi(-10));
+        assert_eq!(sum_to_odd(1.5, 2.25), 3.75);
+        assert_eq!(sum_to_odd(f64::INFINITY, 1.0), f64::INFINITY);
+    }
+
+    #[test]
+    fn overflow_stays_until_it_is_hidden() {
+        let bright = Format::F16.round(Format::F16.blend(6e4, 1.0, 6e4));
+        assert_eq!((bright, Format::F16.read(bright)), (f64::INFINITY, 65_504.0));
+        assert_eq!(Format::F16.blend(bright, 0.5, 1.0), f64::INFINITY);
+        assert_eq!(Format::F16.blend(bright, 0.0, 1.0), 1.0);
+    }
+
+    #[test]
+    fn normalized_targets_clamp_their_sources() {
+        assert_eq!(Format::Unorm8.blend(0.2, 1.0, -3.0), 0.2);
+        assert_eq!(Format::Unorm8.blend(0.0, 1.0, 3.0), 1.0);
+        assert_eq!(Format::Snorm8.blend(0.0, 1.0, -3.0), -1.0);
+        assert_eq!(Format::F16.blend(0.0, 1.0, -3.0), -3.0);
+    }
+
+    #[test]
+    fn normalized_targets_blend_in_whole_steps() {
+        // 64/255 and 159/255 are no doubles, 64/2 + 255/2 = 159.5 steps is a tie all the same
+        assert_eq!(Format::Unorm8.blend(64.0 / 255.0, 0.5, 0.5), 160.0 / 255.0);
+        assert_eq!(Format::Unorm8.blend(62.0 / 255.0, 0.5, 0.5), 158.0 / 255.0);
+        assert_eq!(Format::Unorm8.blend(1.0, 1.0, 1.0), 1.0);
+        for k in 0..=255 {
+            let stored = f64::from(k) / 255.0;
+            assert_eq!(Format::Unorm8.round(Format::Unorm8.blend(stored, 1.0, 0.0)), stored);
+        }
+    }
+}

@@ -1,0 +1,55 @@
+"""Storage formats as params."""
+
+import numpy as np
+import pytest
+
+import oitlab
+
+STORED = [entry for entry in oitlab.techniques() if any(param.name == "format" for param in entry.params)]
+SUMMED = ["weighted_sum", "weighted_average", "blended_oit", "wboit", "phenomenological", "lwboit", "gs_wsr"]
+
+
+def test_blended_techniques_have_formats_and_summation() -> None:
+    assert {entry.id for entry in STORED} >= {*SUMMED, "alpha_compositing", "painter"}
+    for name in SUMMED:
+        assert "summation" in {param.name for param in oitlab.techniques()[name].params}
+
+
+@pytest.mark.parametrize("entry", STORED, ids=[entry.id for entry in STORED])
+def test_every_format_of_every_target_gives_a_finite_image(
+    entry: oitlab.TechniqueInfo, small_scene: oitlab.Scene
+) -> None:
+    plain = oitlab.render(small_scene, entry.id)
+    names = [param for param in entry.params if param.name == "format" or param.name.endswith("_format")]
+    assert len(names) >= 2
+    for param in names:
+        for chosen in param.range.removeprefix("one of ").replace('"', "").split(", "):
+            frame = oitlab.render(small_scene, entry.id, {param.name: chosen})
+            assert frame.params[param.name] == chosen
+            assert np.isfinite(frame.color).all()
+            # even 8 bits are near on a handful of layers, unless weights are beyond them
+            if chosen in {"f64", "f32", "f16"}:
+                np.testing.assert_allclose(frame.color, plain.color, atol=0.01)
+
+
+def test_an_override_that_changes_nothing_is_the_same_variant(small_scene: oitlab.Scene) -> None:
+    same = [{}, {"format": "f32"}, {"accumulation_format": "f32"}, {"revealage_format": "f64"}]
+    frames = oitlab.render_many(small_scene, [("wboit", params) for params in same])
+    assert [frame.stats.skipped["duplicate_variants"] for frame in frames].count(1) == len(same) - 1
+    half, stated, other = oitlab.render_many(
+        small_scene,
+        [
+            ("wboit", {"format": "f16"}),
+            ("wboit", {"format": "f16", "revealage_format": "f16"}),
+            ("wboit", {"format": "f16", "revealage_format": "unorm8"}),
+        ],
+    )
+    np.testing.assert_array_equal(half.color, stated.color)
+    assert (half.stats.bytes_per_pixel, other.stats.bytes_per_pixel) == (10.0, 9.0)
+
+
+def test_formats_that_make_no_sense_are_refused_by_name(small_scene: oitlab.Scene) -> None:
+    with pytest.raises(ValueError, match=r'wboit.*"accumulation_format" is "d24".*"r11g11b10f"'):
+        oitlab.render(small_scene, "wboit", {"accumulation_format": "d24"})
+    with pytest.raises(ValueError, match=r'wboit: parameter "format" is 16; .*"f64", "f32", "f16", "bf16"'):
+        oitlab.render(small_scene, "wboit", {"format": 16})
