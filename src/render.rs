@@ -50,7 +50,8 @@ pub struct Options {
     pub skip: bool,
     /// Edge of the screen tiles in pixels. Changes time and memory, never a bit of the image.
     pub tile_size: u32,
-    /// Fragments that a tile may hold at a time; deeper tiles are resolved in parts.
+    /// Fragments that a tile may hold at a time; deeper tiles are resolved in parts. Twice as many are allowed where
+    /// nearly all of the tile's primitives have come by then.
     pub max_fragments: usize,
 }
 

@@ -17,6 +17,8 @@ use crate::order::sort_key;
 pub struct TileLists<'a> {
     rect: Rect,
     budget: usize,
+    /// Primitives that may come, at most.
+    expected: usize,
     /// Every run as it came, with the tile's own number of its primitive.
     arrived: Vec<(Run, u32)>,
     /// The depths of all of them, one after the other.
@@ -44,10 +46,11 @@ impl TileLists<'_> {
     /// Pixels whose lists are kept together; batches begin and end at multiples of it.
     pub const GROUP: usize = LANES;
 
-    /// Forgets everything and gets ready for the pixels of `rect`, as long as they have `budget` fragments in
-    /// all.
-    pub fn begin(&mut self, rect: Rect, budget: usize) {
+    /// Forgets everything and gets ready for the pixels of `rect` and so many primitives, as long as they have
+    /// about `budget` fragments in all.
+    pub fn begin(&mut self, rect: Rect, expected: usize, budget: usize) {
         self.rect = rect;
+        self.expected = expected;
         self.budget = budget;
         self.arrived.clear();
         self.depth.clear();
@@ -60,9 +63,11 @@ impl TileLists<'_> {
         self.counts.resize(rect.area(), 0);
     }
 
-    /// Whether more fragments came than the budget allows; the lists are incomplete then.
+    /// Whether more fragments came than the budget allows; the lists are incomplete then. Where nearly all
+    /// primitives have come, twice as many do: that is less than to begin again with two halves.
     pub fn is_over_budget(&self) -> bool {
-        self.depth.len() > self.budget
+        let nearly_done = self.primitives.len() > self.expected / 4 * 3;
+        self.depth.len() > self.budget.saturating_mul(1 + usize::from(nearly_done))
     }
 
     /// Fragments per pixel.

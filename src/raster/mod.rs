@@ -74,6 +74,10 @@ impl<'a> Raster<'a> {
         });
         colors.fold(Shown::Nothing, Shown::and) != Shown::Several
     }
+    /// How many transparent primitives may have pixels in the tile.
+    pub fn transparent_primitives(&self, tile: (usize, usize)) -> usize {
+        self.transparent_in(tile).map(|(_, count)| count).sum()
+    }
     /// Whether nothing at all is to be drawn in the tile.
     pub fn is_empty_tile(&self, column: usize, row: usize) -> bool {
         let tile = row * self.columns() + column;

@@ -49,7 +49,7 @@ fn tile(
 ) -> (Rect, Lists, Vec<[f32; 3]>) {
     let rect = raster.rect(place.0, place.1);
     let (mut tile, mut collected, mut lists) = (Tile::default(), TileLists::default(), Lists::new());
-    collected.begin(rect, usize::MAX);
+    collected.begin(rect, 0, usize::MAX);
     if tile.begin(raster, place, rect, true, stop)
         && tile.transparent(raster, place, Order::Submission, &mut collected, stop)
     {

@@ -169,7 +169,7 @@ impl Job<'_> {
                 blend: (!plan.blends.is_empty()).then_some(&mut *blend),
             };
             let budget = if rect.area() > 1 { self.options.max_fragments } else { usize::MAX };
-            collector.begin(rect, budget);
+            collector.begin(rect, raster.transparent_primitives(tile), budget);
             finished = match &mut collector {
                 Collector { lists: Some(lists), sums: None, blend: None } => {
                     drawn.transparent(raster, tile, Order::Submission, *lists, stop)
@@ -320,9 +320,9 @@ impl Job<'_> {
 }
 
 impl Collector<'_, '_, '_> {
-    fn begin(&mut self, rect: Rect, budget: usize) {
+    fn begin(&mut self, rect: Rect, primitives: usize, budget: usize) {
         if let Some(lists) = &mut self.lists {
-            lists.begin(rect, budget);
+            lists.begin(rect, primitives, budget);
         }
         if let Some(sums) = &mut self.sums {
             sums.begin(rect);

@@ -135,9 +135,8 @@ impl<'r> Sink<'r> for TileSums<'_> {
             Some(color) if !cover.is_small() && self.is_constant(cover) => self.keep(cover, color),
             flat => {
                 self.flush();
-                if !self.take_few(cover) {
-                    self.blend(cover, flat);
-                }
+                let fused = self.take_few(cover);
+                self.blend(cover, flat, fused);
             }
         }
         true
@@ -162,14 +161,17 @@ impl TileSums<'_> {
         }
     }
 
-    /// Blends in a small primitive of one colour whose depth varies, if there is but one weight, in one go.
+    /// Blends in a small primitive of one colour whose depth varies: the background and the first weight in one
+    /// go.
     #[inline(always)]
     #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
     fn take_few(&mut self, cover: &Cover<'_, '_>) -> bool {
         let (Some(color), None, true) = (flat_color(cover), cover.constant_depth, cover.is_small()) else {
             return false;
         };
-        let [Weight { weighting: Some(weighting), stopwatch }] = &mut self.weights[..] else { return false };
+        let Some(Weight { weighting: Some(weighting), stopwatch }) = self.weights.first_mut() else {
+            return false;
+        };
         let Sums { weighted, transmittance, counts, .. } = &mut self.sums;
         let sums = &mut weighted[0];
         let start = stopwatch.start();
@@ -190,16 +192,18 @@ impl TileSums<'_> {
         true
     }
 
-    /// Blends in a primitive.
+    /// Blends in a primitive, or what [`TileSums::take_few`] has left of it.
     #[inline(always)]
     #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
-    fn blend(&mut self, cover: &Cover<'_, '_>, flat: Option<Premultiplied>) {
+    fn blend(&mut self, cover: &Cover<'_, '_>, flat: Option<Premultiplied>, fused: bool) {
         match flat {
+            _ if fused => {}
             Some([.., alpha]) => self.attenuate_flat(cover, alpha),
             None => self.attenuate_shaded(cover),
         }
         let Self { weights, sums, colors, alpha, weight: numbers, depth, .. } = self;
-        for (Weight { weighting, stopwatch }, sums) in weights.iter_mut().zip(&mut sums.weighted) {
+        let left = weights.iter_mut().zip(&mut sums.weighted).skip(usize::from(fused));
+        for (Weight { weighting, stopwatch }, sums) in left {
             let start = stopwatch.start();
             match (flat, *weighting, cover.constant_depth) {
                 (Some(color), Some(weighting), None) => {
