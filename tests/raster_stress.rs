@@ -101,8 +101,11 @@ fn triangles_smaller_than_a_pixel() {
             let size = 2.0_f64.powi(1 - (i % 12) as i32);
             let center = [0, 1, 2].map(|d: u32| [20.0, 15.0, 3.0][d as usize] * signed(i, d));
             // half of them around the centre of a pixel, where the small ones are seen
-            let center =
-                if i % 2 == 0 { [center[0].floor() + 0.5, center[1].floor() + 0.5, 0.0] } else { center };
+            let center = if i.is_multiple_of(2) {
+                [center[0].floor() + 0.5, center[1].floor() + 0.5, 0.0]
+            } else {
+                center
+            };
             [3, 6, 9].map(|k| std::array::from_fn(|d| center[d] + size * signed(i, k + d as u32)))
         };
         assert_whole(&agree("sub-pixel", &draw(camera, (0..6000).map(small))));
@@ -136,6 +139,27 @@ fn corners_on_the_clip_planes_and_behind_the_camera() {
         let worst = agree("near plane", &draw(camera, (0..400).map(some)));
         assert!(worst.fragments.iter().all(|n| *n > 50));
         assert!(worst.whole <= WHOLE && worst.cut <= cut(100.0), "{worst:?}");
+    }
+}
+
+/// Triangles that lie along the planes of the guard band but for rounding, where a polygon's corners may be in and out
+/// by turns.
+#[test]
+fn triangles_along_the_clip_planes() {
+    for camera in [perspective(60.0, 0.5, 50.0), perspective(60.0, 0.5, 1e18), pixel_camera(HEIGHT)] {
+        let along = |i: u32| {
+            let scale =
+                f64::from(HEIGHT) / if i.is_multiple_of(2) { 2.0 * 30.0_f64.to_radians().tan() } else { 1.0 };
+            let edge = [-65_556.0, 65_556.0, -65_551.0, 65_551.0][i as usize % 4] / scale;
+            [0, 5, 10].map(|k| {
+                let z = 10.0_f64.powf(20.0 * random(i, k)) * signed(i, k + 1).signum();
+                let rounding = 1.0 + f64::EPSILON * (8.0 * signed(i, k + 2)).round();
+                let (along, across) = (1e6 * z * signed(i, k + 3), edge * z * rounding);
+                let [x, y] = if i % 4 < 2 { [across, along] } else { [along, across] };
+                [x, y, 5.0 - z]
+            })
+        };
+        agree("along planes", &draw(camera, (0..1000).map(along)));
     }
 }
 
