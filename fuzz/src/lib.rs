@@ -81,3 +81,11 @@ pub fn check_frame(frame: &Frame, exact_coverage: bool) {
     let range = -SHARE..=1.0 + SHARE;
     assert!(!exact_coverage || shares.iter().all(|t| range.contains(t)), "{id}: {shares:?}");
 }
+
+/// A frame of colours so bright that sums of them overflow in single precision: infinite at worst, which is stored as
+/// the largest number, but not NaN.
+pub fn check_overflow(frame: &Frame) {
+    let id = frame.technique;
+    assert!(samples(&frame.color).iter().all(|x| !x.is_nan()), "{id}: {:?}", frame.color);
+    assert!(samples(&frame.transmittance).iter().all(|t| t.is_finite()), "{id}: {:?}", frame.transmittance);
+}
