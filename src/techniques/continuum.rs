@@ -142,8 +142,8 @@ const PARAMS: &[ParamSpec] = &[
     S_MAX.when(|p| p.text("merge") == "sum"),
 ];
 
-/// The chance of a wide mask to show is computed from a table of as many numbers as it has bits: a gigabyte, at most.
-const WIDEST_CHANCE: i64 = 1 << 27;
+/// The chance of a wide mask to show is computed from a table of as many numbers as it has bits: 128 MB, at most.
+const WIDEST_CHANCE: i64 = 1 << 24;
 
 fn check_chances(params: &Params) -> Result<()> {
     let by_chance = params.text("insertion") == "stochastic" && params.text("memory") != "samples";
