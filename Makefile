@@ -2,10 +2,11 @@
 
 PYTHON ?= python3
 VENV := .venv
+FUZZ_SECONDS ?= 600
 BIN := $(VENV)/bin
 RUST_SOURCES := $(shell find src shaders -name '*.rs' -o -name '*.wgsl') Cargo.toml Cargo.lock
 
-.PHONY: demo test test-rust test-python check bench bench-full develop format clean readme golden
+.PHONY: demo test test-rust test-python check fuzz bench bench-full develop format clean readme golden
 
 demo: develop
 	$(BIN)/oitlab demo --output out/demo
@@ -20,12 +21,18 @@ test-python: develop
 
 check: develop
 	cargo fmt --check
+	cargo fmt --check --manifest-path fuzz/Cargo.toml
 	cargo clippy --all-targets --quiet -- -D warnings
 	CARGO_TARGET_DIR=target/python cargo clippy --features python --quiet -- -D warnings
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/python -m mypy.stubtest oitlab._oitlab --ignore-disjoint-bases
+	fuzz/run.sh 20
+
+# FUZZ_SECONDS per target; skipped with a reason where nightly Rust, cargo-fuzz or a C++ compiler are missing.
+fuzz:
+	fuzz/run.sh $(FUZZ_SECONDS)
 
 # Peers are found in OITLAB_PEER_PYTHON, an interpreter with benches/requirements-peers.txt, and skipped where absent.
 bench: develop
@@ -36,6 +43,7 @@ bench-full: develop
 
 format:
 	cargo fmt
+	cargo fmt --manifest-path fuzz/Cargo.toml
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 

@@ -242,6 +242,17 @@ fn sizes_beyond_memory_are_an_error() {
     let requests = [request("continuum", &coverage)];
     let result = render::<f32>(Source::Scene(&scene), &requests, &Options::default(), &|| false);
     assert!(matches!(result, Err(Error::Memory(_))));
+    let by_chance = ("insertion", Input::Text("stochastic".into()));
+    let bits = |bits| ("bits", Input::Int(bits));
+    for too_many in [20_000_000, 7_000_000_000_000_000_000] {
+        let requests = [request("continuum", &[by_chance.clone(), bits(too_many)])];
+        let result = render::<f32>(Source::Scene(&scene), &requests, &Options::default(), &|| false);
+        assert!(matches!(&result, Err(Error::Memory(message)) if message.contains("continuum")));
+    }
+    // what does not act costs nothing
+    let same = [request("continuum", &[bits(7_000_000_000_000_000_000)]), request("continuum", &[])];
+    let frames = frames_with(Source::Scene(&scene), &same, &Options::default());
+    assert!(frames[0].color == frames[1].color);
 }
 
 #[test]

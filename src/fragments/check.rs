@@ -23,6 +23,14 @@ pub(crate) fn check_clip_planes(near: f64, far: f64) -> Result<()> {
     if !(far.is_finite() && far > near) {
         return Err(Error::argument("far", format!("{far} is not a finite number > near = {near}")));
     }
+    // depths are stored in single precision: nearer ones would lose digits, farther ones be infinite
+    let (least, most) = (f64::from(f32::MIN_POSITIVE), f64::from(f32::MAX));
+    if near < least {
+        return Err(Error::argument("near", format!("{near:e} is not a number >= {least:e}")));
+    }
+    if far > most {
+        return Err(Error::argument("far", format!("{far:e} is not a number <= {most:e}")));
+    }
     Ok(())
 }
 

@@ -7,18 +7,19 @@ use glam::DVec3;
 pub fn clip(projector: &Projector, triangle: [DVec3; 3]) -> Vec<DVec3> {
     let mut polygon = triangle.to_vec();
     for plane in 0..6 {
-        polygon = clip_plane(&polygon, |p| projector.clip_distances(p)[plane]);
+        polygon = clip_plane(&polygon, projector, plane);
     }
     polygon
 }
 
-fn clip_plane(polygon: &[DVec3], distance: impl Fn(DVec3) -> f64) -> Vec<DVec3> {
+fn clip_plane(polygon: &[DVec3], projector: &Projector, plane: usize) -> Vec<DVec3> {
+    let distance = |p| projector.clip_distances(p)[plane];
     let mut kept = Vec::with_capacity(polygon.len() + 1);
     for (i, &b) in polygon.iter().enumerate() {
         let a = polygon[(i + polygon.len() - 1) % polygon.len()];
         let (da, db) = (distance(a), distance(b));
         if (da >= 0.0) != (db >= 0.0) {
-            kept.push(intersection(a, da, b, db));
+            kept.push(projector.onto_plane(intersection(a, da, b, db), plane));
         }
         if db >= 0.0 {
             kept.push(b);
@@ -27,11 +28,13 @@ fn clip_plane(polygon: &[DVec3], distance: impl Fn(DVec3) -> f64) -> Vec<DVec3> 
     kept
 }
 
-/// Always computed from the inner towards the outer end, so that two triangles that share the edge, each
-/// walking it the other way, get the same bits.
+/// Always computed from the end that is nearer to the plane, and from the inner one if both are as near: two
+/// triangles that share the edge, each walking it the other way, get the same bits, and a far end costs no digits of
+/// a near one.
 fn intersection(a: DVec3, da: f64, b: DVec3, db: f64) -> DVec3 {
     let (inner, di, outer, d_o) = if da >= 0.0 { (a, da, b, db) } else { (b, db, a, da) };
-    inner + (outer - inner) * (di / (di - d_o))
+    let between = |from: DVec3, to: DVec3, d: f64, e: f64| from + (to - from) * (d / (d - e));
+    if di <= -d_o { between(inner, outer, di, d_o) } else { between(outer, inner, d_o, di) }
 }
 
 #[cfg(test)]
@@ -53,6 +56,18 @@ mod tests {
         assert_eq!(polygon.len(), 4);
         assert!(polygon.iter().all(|p| p.z >= 1.0));
         assert!(polygon.iter().filter(|p| p.z == 1.0).count() == 2);
+    }
+
+    /// From the far end alone the near plane would be met at depth 0, and the eye is nowhere on the screen.
+    #[test]
+    fn what_reaches_to_1e30_is_cut_at_the_plane() {
+        let camera =
+            Camera::new(DVec3::ZERO, DVec3::Z, DVec3::Y, Projection::Perspective { fov_y: 90.0 }, 1e-3, 1e38);
+        let projector = Projector::new(&camera.unwrap(), 64, 64);
+        let triangle = [DVec3::new(0.5, 0.5, 0.0), DVec3::new(0.0, 0.0, 1e30), DVec3::new(0.0, 0.0, 5.0)];
+        let polygon = clip(&projector, triangle);
+        assert!(polygon.len() == 4 && polygon.iter().all(|p| p.z >= 1e-3), "{polygon:?}");
+        assert!(polygon.iter().any(|p| p.z == 1e-3 && (p.x - 0.5).abs() < 1e-3));
     }
 
     #[test]

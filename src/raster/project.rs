@@ -109,6 +109,22 @@ impl Projector {
         ]
     }
 
+    /// A point that lies on a clip plane of [`Projector::clip_distances`] but for rounding, moved onto it.
+    pub fn onto_plane(&self, p: DVec3, plane: usize) -> DVec3 {
+        let w = if self.perspective { p.z } else { 1.0 };
+        let ((x_min, x_max), (y_min, y_max)) = self.limits;
+        let at_x = |x: f64| DVec3 { x: (x - self.center.0) * w / self.scale, ..p };
+        let at_y = |y: f64| DVec3 { y: (self.center.1 - y) * w / self.scale, ..p };
+        match plane {
+            0 => DVec3 { z: self.camera.near(), ..p },
+            1 => DVec3 { z: self.camera.far(), ..p },
+            2 => at_x(x_min),
+            3 => at_x(x_max),
+            4 => at_y(y_min),
+            _ => at_y(y_max),
+        }
+    }
+
     /// A clipped point, snapped: inside the guard band up to the rounding of the clip.
     pub fn snap_clipped(&self, p: DVec3) -> (i32, i32) {
         let (x, y) = self.screen_point(p);

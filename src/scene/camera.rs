@@ -148,6 +148,19 @@ mod tests {
         assert!((v - DVec3::new(1.0, 2.0, 2.0)).length() < 1e-15);
     }
 
+    /// Their reciprocals and what interpolation makes of them overflow, or they are no f32.
+    #[test]
+    fn clip_planes_are_depths_of_single_precision() {
+        let p = Projection::Perspective { fov_y: 45.0 };
+        let fault = |near, far| {
+            let camera = camera([0.0, 0.0, 5.0], [0.0, 1.0, 0.0], p, near, far);
+            camera.map_or_else(|error| error.to_string(), |_| String::new())
+        };
+        assert!(fault(1e-310, 1.0).starts_with("near: 1e-310 is not a number >= 1.17"));
+        assert!(fault(0.1, 1e300).starts_with("far: 1e300 is not a number <= 3.4"));
+        assert_eq!(fault(1.2e-38, 3.4e38), "");
+    }
+
     #[test]
     fn errors_name_the_argument() {
         let p = Projection::Perspective { fov_y: 45.0 };

@@ -19,7 +19,7 @@ use crate::continuum::opacity::{Alpha, Opacity};
 use crate::continuum::oracle::{Composite, Oracle, TwoPass};
 use crate::continuum::range::DepthRange;
 use crate::continuum::stochastic::{Visibility, VisibleByChance, VisibleSamples};
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::params::{Default, Kind, ParamSpec, Params, Value, View};
 use crate::technique::{
     AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties, Resolved, Streamed, Technique,
@@ -143,6 +143,18 @@ const PARAMS: &[ParamSpec] = &[
     S_MAX.when(|p| p.text("merge") == "sum"),
 ];
 
+/// The chance of a wide mask to show is computed from a table of as many numbers as it has bits: 128 MB, at most.
+const WIDEST_CHANCE: i64 = 1 << 24;
+
+fn check_chances(params: &Params) -> Result<()> {
+    let by_chance = params.text("insertion") == "stochastic" && params.text("memory") != "samples";
+    let bits = params.int("bits");
+    if by_chance && params.text("opacity") == "alpha" && bits > WIDEST_CHANCE {
+        return Err(Error::Memory(format!("continuum under these params: it tabulates {bits} bits")));
+    }
+    Ok(())
+}
+
 fn in_bins(params: &Params) -> bool {
     params.text("memory") == "bins"
 }
@@ -162,6 +174,7 @@ fn weighs(params: &Params) -> bool {
 fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
     let setup = Setup::from_params(params, view)?;
     Weighting::from_params(params)?;
+    check_chances(params)?;
     let composer = Composer { setup, params };
     Ok(match setup.memory {
         "none" => composer.functions(),
@@ -191,7 +204,9 @@ impl Composer<'_> {
     }
 
     fn chance(&self) -> VisibleByChance {
-        let RandomMasks { bits, stratified, seed } = self.masks(self.setup.bits);
+        // where nothing is left to chance, a number of bits means nothing
+        let bits = if self.setup.insertion == "stochastic" { self.setup.bits } else { 0 };
+        let RandomMasks { bits, stratified, seed } = self.masks(bits);
         VisibleByChance { probability: Visibility::new(bits, stratified), seed }
     }
 
