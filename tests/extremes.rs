@@ -56,7 +56,7 @@ fn numbers_at_the_ends_of_single_precision_stay_numbers() {
         let fragments = captured(&pixels, planes);
         let source = Source::Fragments(&fragments);
         for frame in render::<f64>(source, &requests, &Options::default(), &|| false).unwrap() {
-            let (Image::F64(color), Image::F64(shares)) = (&frame.color, &frame.transmittance) else {
+            let (Image::F64(color), Image::F64(shares)) = (&*frame.color, &*frame.transmittance) else {
                 panic!("not double precision")
             };
             let id = frame.technique;
