@@ -1,9 +1,10 @@
 //! Fragment lists into every technique of the registry.
 
+use crate::params::choice;
 use crate::{Number, check_frame, check_overflow, render_exactly};
 use arbitrary::Arbitrary;
 use oitlab::fragments::{Background, Fragment, Fragments, FragmentsInput, Lists};
-use oitlab::params::check;
+use oitlab::params::{Input as Value, check};
 use oitlab::render::{Request, Source};
 use oitlab::technique::Info;
 use oitlab::techniques::REGISTRY;
@@ -16,6 +17,8 @@ pub struct Input {
     planes: Option<(Number, Number)>,
     depth_range: Option<(Number, Number)>,
     primitive_depth: Option<Vec<Number>>,
+    /// Which of its formats, and of its ways to sum, a technique is to use; its defaults if absent.
+    stored: Option<(u8, u8)>,
 }
 
 #[derive(Debug, Arbitrary)]
@@ -100,22 +103,31 @@ pub fn run(input: &Input) {
     let Ok(fragments) = fragments else { return };
     assert!(valid, "accepted {pixels:?}");
     let bright = pixels.iter().flatten().any(|f| f.color.iter().any(|c| *c > BRIGHT));
-    let frames = render_exactly(Source::Fragments(&fragments), &requests()).expect("defaults are valid");
-    for (info, frame) in REGISTRY.iter().zip(&frames) {
+    let requests: Vec<Request> =
+        REGISTRY.iter().map(|info| (info.id.to_owned(), params(info, input.stored))).collect();
+    let frames = render_exactly(Source::Fragments(&fragments), &requests).expect("choices are valid");
+    for ((info, (_, params)), frame) in REGISTRY.iter().zip(&requests).zip(&frames) {
         if bright {
             check_overflow(frame);
         } else {
-            check_frame(frame, has_exact_coverage(info, &fragments));
+            check_frame(frame, has_exact_coverage(info, params, &fragments));
         }
     }
 }
 
-fn requests() -> Vec<Request> {
-    REGISTRY.iter().map(|info| (info.id.to_owned(), vec![])).collect()
+/// A format of those that a technique offers and a way to sum, where it offers any.
+fn params(info: &Info, stored: Option<(u8, u8)>) -> Vec<(String, Value)> {
+    let Some((format, summation)) = stored else { return vec![] };
+    let table = info.param_table();
+    let chosen = [("format", format), ("summation", summation)].into_iter().filter_map(|(name, i)| {
+        let spec = table.iter().find(|spec| spec.name == name)?;
+        Some((name.to_owned(), choice(Some(spec), usize::from(i))))
+    });
+    chosen.collect()
 }
 
-fn has_exact_coverage(info: &Info, fragments: &Fragments) -> bool {
+fn has_exact_coverage(info: &Info, params: &[(String, Value)], fragments: &Fragments) -> bool {
     let table = info.param_table();
-    let params = check(info.id, &table, &[]).expect("no params are valid").resolve(&table, &fragments.view);
-    (info.build)(&params, &fragments.view).expect("defaults are valid").properties().exact_coverage
+    let params = check(info.id, &table, params).expect("choices are valid").resolve(&table, &fragments.view);
+    (info.build)(&params, &fragments.view).expect("choices are valid").properties().exact_coverage
 }

@@ -51,8 +51,13 @@ impl Raw {
     }
 }
 
-fn choice(spec: Option<&ParamSpec>, i: usize) -> Value {
+/// The choice of this number among those of a param.
+pub fn choice(spec: Option<&ParamSpec>, i: usize) -> Value {
     match spec.map(|spec| spec.kind) {
+        Some(Kind::Format(formats)) => {
+            let names: Vec<_> = formats.iter().map(|format| format.name()).collect();
+            Value::Text(names[i % names.len()].to_owned())
+        }
         Some(Kind::Choice(words)) => Value::Text(words[i % words.len()].to_owned()),
         Some(Kind::IntChoice(numbers)) => Value::Int(numbers[i % numbers.len()]),
         Some(Kind::DepthRange) => Value::Text(["pixel", "scene"][i % 2].to_owned()),
