@@ -181,10 +181,27 @@ pub fn is_tiny(points: &[(i32, i32); 3], bounds: &Rect) -> bool {
     bounds.x1 - bounds.x0 <= TINY && bounds.y1 - bounds.y0 <= TINY && points.iter().all(near)
 }
 
-/// [`triangle_runs`] of a tiny triangle, by the edge functions of all 8 x 8 pixels from the bounds' corner on.
+/// [`triangle_runs`] of a tiny triangle, by the edge functions of all 8 x 8 pixels from the bounds' corner on, or of
+/// 8 x 4 where no more rows are needed.
 #[inline(always)]
 #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
 pub fn tiny_runs(
+    points: [(i32, i32); 3],
+    sign: i32,
+    rect: &Rect,
+    bounds: &Rect,
+    runs: &mut Vec<Run>,
+) -> usize {
+    if bounds.y1 - bounds.y0 <= TINY / 2 {
+        runs_of_rows::<4>(points, sign, rect, bounds, runs)
+    } else {
+        runs_of_rows::<8>(points, sign, rect, bounds, runs)
+    }
+}
+
+#[inline(always)]
+#[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+fn runs_of_rows<const ROWS: usize>(
     points: [(i32, i32); 3],
     sign: i32,
     rect: &Rect,
@@ -201,7 +218,7 @@ pub fn tiny_runs(
         let at_corner = dx * (py - from.1) - dy * (px - from.0) - least;
         *edge = [at_corner, -dy * SUBPIXELS, dx * SUBPIXELS];
     }
-    let mut rows = [[0_u8; 8]; 8];
+    let mut rows = [[0_u8; 8]; ROWS];
     for (y, row) in (0..8).zip(&mut rows) {
         for (x, inside) in (0..8).zip(row) {
             let mut outside = 0;
