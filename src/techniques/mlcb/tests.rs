@@ -122,7 +122,7 @@ fn with_nested_masks_and_room_it_is_screen_door_transparency() {
             layers: 64,
         },
         normalize: Unnormalized,
-        cost: Cost::list(64, 0.0),
+        cost: Cost::list(64, 8.0, 0.0),
         properties: Properties::NONE,
     };
     for n in 1..=64 {
