@@ -72,7 +72,8 @@ fn variants() -> Vec<Variant> {
         let table = info.param_table();
         let one = |spec: ParamSpec| values(&spec).into_iter().map(move |v| vec![(spec.name.to_owned(), v)]);
         let params: Vec<_> = table.into_iter().flat_map(one).collect();
-        let narrow = params.clone().into_iter().filter(|params| !params[0].0.ends_with("format")).map(in_half);
+        let narrow =
+            params.clone().into_iter().filter(|params| !params[0].0.ends_with("format")).map(in_half);
         let narrow: Vec<_> = if info.targets.is_empty() { vec![] } else { narrow.collect() };
         params.into_iter().chain(narrow).filter_map(move |params| variant(info, params))
     };

@@ -77,7 +77,7 @@ impl<T: Technique> Technique for Placed<T> {
     const COLORED_TRANSMITTANCE: bool = T::COLORED_TRANSMITTANCE;
 
     fn resolve(&self, pixel: &Pixel<'_>, lists: &mut Self::Scratch) -> Resolved {
-        self.see(pixel, lists, |technique, pixel, scratch| technique.resolve(pixel, scratch))
+        self.see(pixel, lists, T::resolve)
     }
     /// Depths are rounded before they are compared, as those of fragments are.
     fn transmittance(

@@ -62,7 +62,7 @@ pub static INFO: Info = Info {
     submission_orders: ANY_ORDER,
     random: true,
     geometry_passes: "1",
-    bytes_per_pixel: "layers (20 + bits / 8) in f32, 10 + in f16, 8 + as rgb8 and an f32; hybrid: alpha_bits in place of bits",
+    bytes_per_pixel: "layers (node + bits / 8), a node 20 in f32, 10 in f16, 8 as rgb8 and an f32; hybrid: alpha_bits in place of bits",
     build,
 };
 

@@ -215,8 +215,8 @@ fn half_precision_is_near_where_there_is_room() {
             let (color, transmittance) = over(&pixel);
             for id in LISTS.into_iter().chain(["a_buffer", "depth_peeling", "dual_depth_peeling"]) {
                 let inputs: Inputs = if LISTS.contains(&id) { vec![layers(8)] } else { vec![] };
-                let depths = ["depth_format", "node_depth_format"];
-                let depth = depths[usize::from(!id.starts_with("d"))];
+                let peels = ["depth_peeling", "dual_depth_peeling"].contains(&id);
+                let depth = if peels { "depth_format" } else { "node_depth_format" };
                 let inputs = [inputs, vec![text("format", "f16"), text(depth, "f32")]].concat();
                 let far = difference(resolve(id, &inputs, &pixel), color, transmittance);
                 assert!(far <= 4.0 * f64::from(n) * u, "{id}, {n} layers: {far:e}");
