@@ -65,17 +65,20 @@ fn variant(info: &'static Info, params: Vec<(String, Input)>) -> Option<Variant>
     Some(Variant { request: (info.id.to_owned(), params), technique })
 }
 
-/// Every technique with its defaults, and with one param changed at a time; the same with all that is stored in half
-/// precision, where storage can be chosen.
+/// Every technique with its defaults, and with one param changed at a time; the same with everything in half precision for
+/// the choices among algorithms, where storage can be chosen.
 fn variants() -> Vec<Variant> {
+    let one = |spec: &ParamSpec| {
+        let name = spec.name.to_owned();
+        values(spec).into_iter().map(move |value| vec![(name.clone(), value)]).collect::<Vec<_>>()
+    };
     let changed = |info: &'static Info| {
         let table = info.param_table();
-        let one = |spec: ParamSpec| values(&spec).into_iter().map(move |v| vec![(spec.name.to_owned(), v)]);
-        let params: Vec<_> = table.into_iter().flat_map(one).collect();
-        let narrow =
-            params.clone().into_iter().filter(|params| !params[0].0.ends_with("format")).map(in_half);
-        let narrow: Vec<_> = if info.targets.is_empty() { vec![] } else { narrow.collect() };
-        params.into_iter().chain(narrow).filter_map(move |params| variant(info, params))
+        let is_algorithm = |spec: &&ParamSpec| matches!(spec.kind, Kind::Choice(_) | Kind::Bool);
+        let narrow = table.iter().filter(is_algorithm).filter(|_| !info.targets.is_empty());
+        let narrow: Vec<_> = narrow.flat_map(one).map(in_half).collect();
+        let params: Vec<_> = table.iter().flat_map(one).chain(narrow).collect();
+        params.into_iter().filter_map(move |params| variant(info, params))
     };
     let defaults = |info| variant(info, vec![]).expect("a technique takes its own defaults");
     REGISTRY.iter().flat_map(|info| std::iter::once(defaults(info)).chain(changed(info))).collect()

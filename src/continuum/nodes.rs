@@ -146,27 +146,37 @@ impl Nodes {
     /// As the formats of the targets "`node_color`", "`node_transmittance`" and "`node_depth`" have it, as far as there
     /// are any; nothing rounds what has none.
     pub fn new(formats: &Formats, view: &View) -> Self {
-        Self::named(formats, view, ["node_color", "node_depth"])
-    }
-
-    /// The same with targets of these names.
-    pub fn named(formats: &Formats, view: &View, [colors, depths]: [&str; 2]) -> Self {
-        let color = formats.find(colors);
-        let depth = formats.find(depths).unwrap_or(Format::F64);
-        let share = formats.find("node_transmittance");
-        let share_bytes = formats.bytes_of("node_transmittance");
-        let color_bytes = color.map_or(share_bytes, |color| {
-            let bytes = formats.bytes_of(colors);
-            // a share that is an f16 beside three packed channels moves into the depth's word
-            if depth == Format::D24 && bytes > color.bytes(3) { bytes - 1.0 } else { bytes }
-        });
-        Self {
+        let color = formats.find("node_color");
+        let depth = formats.find("node_depth").unwrap_or(Format::F64);
+        let share = formats.find("node_transmittance").or(color.map(share_beside));
+        let color_bytes = formats.bytes_of("node_color") + formats.bytes_of("node_transmittance");
+        let nodes = Self {
             are_default: formats.are_default(),
             color: color.unwrap_or(Format::F64),
-            share: share.or(color.map(|color| share_beside(color, depth))).unwrap_or(Format::F64),
+            share: share.unwrap_or(Format::F64),
             depths: Depths::new(depth, view),
-            bytes: color_bytes + formats.bytes_of(depths),
+            bytes: color_bytes + formats.bytes_of("node_depth"),
             color_bytes,
+        };
+        // the share that is an f16 beside a packed colour moves into the depth's word; samples have none
+        let is_beside = color.is_some_and(|color| color_bytes > color.bytes(3));
+        if is_beside && depth == Format::D24 {
+            let (bytes, color_bytes) = (nodes.bytes - 1.0, nodes.color_bytes - 1.0);
+            return Self { share: Format::Unorm8, bytes, color_bytes, ..nodes };
+        }
+        nodes
+    }
+
+    /// Those of peeling, whose targets are "color" and "depth".
+    pub fn peeled(formats: &Formats, view: &View) -> Self {
+        let (color, depth) = (formats.of("color"), formats.of("depth"));
+        Self {
+            are_default: formats.are_default(),
+            color,
+            share: share_beside(color),
+            depths: Depths::new(depth, view),
+            bytes: formats.bytes_per_pixel(),
+            color_bytes: formats.bytes_of("color"),
         }
     }
 
@@ -194,7 +204,7 @@ impl Nodes {
 
     /// Whether shares are kept in double precision, as they are by default.
     pub fn has_exact_shares(self) -> bool {
-        is_exact(self.share)
+        self.share == Format::F64
     }
 
     /// A colour as a node keeps it; what overflows is the largest number.
@@ -243,7 +253,8 @@ impl Nodes {
     /// What a technique with these promises still promises: to be exact where colours and shares are, and to tend to
     /// the exact image where the order of depths stays, too.
     pub fn promises(self, promises: Properties) -> Properties {
-        let (colors, shares) = (is_exact(self.color), self.has_exact_shares());
+        let colors = matches!(self.color, Format::F64 | Format::F32);
+        let shares = self.has_exact_shares();
         let all = colors && shares && self.depths.are_exact();
         Properties {
             unbiased: promises.unbiased && all,
@@ -278,14 +289,11 @@ impl Keep for Nodes {
     }
 }
 
-fn is_exact(format: Format) -> bool {
-    matches!(format, Format::F64 | Format::F32)
-}
-
-/// The format of the share that goes with a colour.
-fn share_beside(color: Format, depth: Format) -> Format {
-    match (color, depth) {
-        (Format::R11g11b10f | Format::Rgb9e5, Format::D24) | (Format::Srgb8, _) => Format::Unorm8,
+/// The format of the share that goes with a colour. By default shares are kept in double precision.
+fn share_beside(color: Format) -> Format {
+    match color {
+        Format::F32 => Format::F64,
+        Format::Srgb8 => Format::Unorm8,
         _ => color.of_alpha(),
     }
 }

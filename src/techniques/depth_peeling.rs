@@ -62,7 +62,7 @@ fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
     };
     let enough = if params.bool("early_out") { HARDLY_VISIBLE } else { 0.0 };
     let formats = Formats::from_params(INFO.targets, params);
-    let nodes = Nodes::named(&formats, view, ["color", "depth"]);
+    let nodes = Nodes::peeled(&formats, view);
     let bytes = nodes.color_bytes + 2.0 * formats.bytes_of("depth");
     let peeling = DepthPeeling { passes, enough, bytes };
     if nodes.are_default {

@@ -49,7 +49,7 @@ fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
         passes => passes,
     };
     let formats = Formats::from_params(INFO.targets, params);
-    let nodes = Nodes::named(&formats, view, ["color", "depth"]);
+    let nodes = Nodes::peeled(&formats, view);
     let bytes = 3.0 * nodes.color_bytes + 4.0 * formats.bytes_of("depth");
     let peeling = DualDepthPeeling { passes, bytes };
     if nodes.are_default {

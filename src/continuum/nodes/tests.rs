@@ -20,7 +20,7 @@ fn shares_go_where_the_layout_has_room() {
         let nodes = of(color, depth);
         (nodes.share, nodes.bytes)
     };
-    assert_eq!(layout("f32", "f32"), (Format::F32, 20.0));
+    assert_eq!(layout("f32", "f32"), (Format::F64, 20.0));
     assert_eq!(layout("unorm8", "f32"), (Format::Unorm8, 8.0));
     assert_eq!(layout("f16", "f32"), (Format::F16, 12.0));
     assert_eq!(layout("rgb9e5", "f32"), (Format::F16, 10.0));

@@ -228,7 +228,8 @@ fn half_precision_is_near_where_there_is_room() {
 /// Fragments are those of the rounded depths: what falls together is sorted by primitive.
 #[test]
 fn depths_are_rounded_before_they_are_compared() {
-    for info in REGISTRY {
+    // lwboit's bins divide the range of the fragments themselves
+    for info in REGISTRY.iter().filter(|info| info.id != "lwboit") {
         let names = ["node_depth_format", "depth_format"];
         let Some(target) = info.targets.iter().find(|target| names.contains(&target.param)) else { continue };
         // in f32 it is the default, whose samples keep more of a colour
