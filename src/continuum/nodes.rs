@@ -25,9 +25,9 @@ impl Target {
         active: |_| true,
     };
     /// What shows through a list node that has no colour.
-    pub const NODE_TRANSMITTANCE: Self = Self {
-        name: "node_transmittance",
-        param: "node_transmittance_format",
+    pub const NODE_SHARE: Self = Self {
+        name: "node_share",
+        param: "node_share_format",
         doc: "format of a node's transmittance, where it keeps no colour; format=\"f32\" keeps it in f64, \"f32\" here stands \
               for a number in f32",
         formats: FormatSet::SHARES,
@@ -143,13 +143,13 @@ pub struct Nodes {
 }
 
 impl Nodes {
-    /// As the formats of the targets "`node_color`", "`node_transmittance`" and "`node_depth`" have it, as far as there
+    /// As the formats of the targets "`node_color`", "`node_share`" and "`node_depth`" have it, as far as there
     /// are any; nothing rounds what has none.
     pub fn new(formats: &Formats, view: &View) -> Self {
         let color = formats.find("node_color");
         let depth = formats.find("node_depth").unwrap_or(Format::F64);
-        let share = formats.find("node_transmittance").or(color.map(share_beside));
-        let color_bytes = formats.bytes_of("node_color") + formats.bytes_of("node_transmittance");
+        let share = formats.find("node_share").or(color.map(share_beside));
+        let color_bytes = formats.bytes_of("node_color") + formats.bytes_of("node_share");
         let nodes = Self {
             are_default: formats.are_default(),
             color: color.unwrap_or(Format::F64),

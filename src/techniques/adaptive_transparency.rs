@@ -69,7 +69,7 @@ fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
 }
 
 static TARGETS: [Target; 4] =
-    [Target::NODE_TRANSMITTANCE, Target::NODE_DEPTH, Target::ACCUMULATION, Target::REVEALAGE];
+    [Target::NODE_SHARE, Target::NODE_DEPTH, Target::ACCUMULATION, Target::REVEALAGE];
 
 /// The last value of the step function is never lost, so its total is exact; a single step, to it and at the
 /// nearest depth, is the same in any order.

@@ -95,7 +95,7 @@ pub static INFO: Info = Info {
 
 static TARGETS: [Target; 5] = [
     Target::NODE_COLOR.when(|p| p.text("accumulate") == "stored"),
-    Target::NODE_TRANSMITTANCE.when(|p| p.text("variant") == "alpha" && p.text("accumulate") == "all"),
+    Target::NODE_SHARE.when(|p| p.text("variant") == "alpha" && p.text("accumulate") == "all"),
     Target::NODE_DEPTH,
     Target::ACCUMULATION.when(|p| p.text("accumulate") == "all"),
     Target::REVEALAGE.when(|p| p.text("accumulate") == "all"),

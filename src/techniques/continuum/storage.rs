@@ -8,7 +8,7 @@ use crate::params::{Params, View};
 /// What there is to store, by memory and accumulation.
 pub static TARGETS: [Target; 5] = [
     Target::NODE_COLOR.when(|p| keeps_nodes(p) && p.text("accumulate") == "stored"),
-    Target::NODE_TRANSMITTANCE.when(|p| {
+    Target::NODE_SHARE.when(|p| {
         keeps_nodes(p)
             && p.text("accumulate") == "all"
             && p.text("opacity") == "alpha"

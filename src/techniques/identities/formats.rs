@@ -97,7 +97,7 @@ fn peeling_rounds_its_targets_after_every_pass() {
 #[test]
 fn a_second_pass_looks_through_rounded_steps() {
     for rounding in Rounding::ALL {
-        let share = [rounding.input("node_transmittance_format")];
+        let share = [rounding.input("node_share_format")];
         for pixel in pixels().take(6).chain([three_layers()]) {
             for k in [1, 2, 5] {
                 let inputs =
