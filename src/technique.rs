@@ -69,10 +69,10 @@ pub struct Cost {
 }
 
 impl Cost {
-    /// One pass into a list of `layers` nodes of depth and RGBA8 colour (8 bytes), and `more` bytes besides.
+    /// One pass into a list of `layers` nodes of so many bytes, and `more` bytes besides.
     #[expect(clippy::cast_precision_loss, reason = "a cost estimate")]
-    pub fn list(layers: usize, more: f64) -> Self {
-        Self { geometry_passes: 1.0, bytes_per_pixel: 8.0 * layers as f64 + more }
+    pub fn list(layers: usize, node: f64, more: f64) -> Self {
+        Self { geometry_passes: 1.0, bytes_per_pixel: node * layers as f64 + more }
     }
 }
 

@@ -65,15 +65,41 @@ fn variant(info: &'static Info, params: Vec<(String, Input)>) -> Option<Variant>
     Some(Variant { request: (info.id.to_owned(), params), technique })
 }
 
-/// Every technique with its defaults, and with one param changed at a time.
+/// Every technique with its defaults, and with one param changed at a time; the same with everything in half precision for
+/// the choices among algorithms, where storage can be chosen.
 fn variants() -> Vec<Variant> {
+    let one = |spec: &ParamSpec| {
+        let name = spec.name.to_owned();
+        values(spec).into_iter().map(move |value| vec![(name.clone(), value)]).collect::<Vec<_>>()
+    };
     let changed = |info: &'static Info| {
         let table = info.param_table();
-        let one = |spec: ParamSpec| values(&spec).into_iter().map(move |v| vec![(spec.name.to_owned(), v)]);
-        table.into_iter().flat_map(one).filter_map(move |params| variant(info, params))
+        let is_algorithm = |spec: &&ParamSpec| matches!(spec.kind, Kind::Choice(_) | Kind::Bool);
+        let narrow = table.iter().filter(is_algorithm).filter(|_| !info.targets.is_empty());
+        let narrow: Vec<_> = narrow.flat_map(one).map(in_half).collect();
+        let params: Vec<_> = table.iter().flat_map(one).chain(narrow).collect();
+        params.into_iter().filter_map(move |params| variant(info, params))
     };
     let defaults = |info| variant(info, vec![]).expect("a technique takes its own defaults");
     REGISTRY.iter().flat_map(|info| std::iter::once(defaults(info)).chain(changed(info))).collect()
+}
+
+fn in_half(mut params: Vec<(String, Input)>) -> Vec<(String, Input)> {
+    params.push(("format".to_owned(), Input::Text("f16".to_owned())));
+    params
+}
+
+/// Formats that a technique lists are formats that it takes, each alone and all together.
+#[test]
+fn every_format_of_every_target_is_taken() {
+    for info in REGISTRY.iter().filter(|info| !info.targets.is_empty()) {
+        for spec in info.param_table().iter().filter(|spec| matches!(spec.kind, Kind::Format(_))) {
+            for value in values(spec) {
+                let made = variant(info, vec![(spec.name.to_owned(), value.clone())]);
+                assert!(made.is_some(), "{} refuses {} {value:?}", info.id, spec.name);
+            }
+        }
+    }
 }
 
 fn depth() -> impl Strategy<Value = f32> {

@@ -143,7 +143,7 @@ def test_every_technique_is_in_the_table_of_all(everything: dict[str, Any]) -> N
             assert rows[exact]["factor"] is None
             assert rows[exact]["rmse"] <= 1e-6
         assert all(row["rmse"] <= row["max_error"] for row in rows.values())
-        assert rows["mlab, shuffled"]["bytes_per_pixel"] == rows["mlab"]["bytes_per_pixel"] == 32.0
+        assert rows["mlab, shuffled"]["bytes_per_pixel"] == rows["mlab"]["bytes_per_pixel"] == 80.0
         assert "a_buffer, shuffled" not in rows
 
 

@@ -6,13 +6,30 @@ import pytest
 import oitlab
 
 STORED = [entry for entry in oitlab.techniques() if any(param.name == "format" for param in entry.params)]
+LISTED = [
+    "a_buffer",
+    "mlab",
+    "mlab_buckets",
+    "k_buffer",
+    "z3",
+    "mlcb",
+    "slab",
+    "hybrid_transparency",
+    "continuum",
+]
 SUMMED = ["weighted_sum", "weighted_average", "blended_oit", "wboit", "phenomenological", "lwboit", "gs_wsr"]
 
 
 def test_blended_techniques_have_formats_and_summation() -> None:
-    assert {entry.id for entry in STORED} >= {*SUMMED, "alpha_compositing", "painter"}
+    assert {entry.id for entry in STORED} >= {*SUMMED, *LISTED, "alpha_compositing", "painter"}
     for name in SUMMED:
         assert "summation" in {param.name for param in oitlab.techniques()[name].params}
+
+
+def depth_of(entry: oitlab.TechniqueInfo) -> str:
+    """Name the param for the format of stored depths, if there is one."""
+    names = [param.name for param in entry.params if param.name.endswith("depth_format")]
+    return names[0] if names else ""
 
 
 @pytest.mark.parametrize("entry", STORED, ids=[entry.id for entry in STORED])
@@ -29,7 +46,10 @@ def test_every_format_of_every_target_gives_a_finite_image(
             assert np.isfinite(frame.color).all()
             # even 8 bits are near on a handful of layers, unless weights are beyond them
             if chosen in {"f64", "f32", "f16"}:
-                np.testing.assert_allclose(frame.color, plain.color, atol=0.01)
+                off = np.abs(frame.color - plain.color).max(axis=-1) > 0.01
+                # where blades cross, depths in halves put some layers in another order
+                reordered = chosen == "f16" and frame.params.get(depth_of(entry), "f32") == "f16"
+                assert off.mean() <= (0.02 if reordered else 0.0)
 
 
 def test_an_override_that_changes_nothing_is_the_same_variant(small_scene: oitlab.Scene) -> None:
@@ -46,6 +66,16 @@ def test_an_override_that_changes_nothing_is_the_same_variant(small_scene: oitla
     )
     np.testing.assert_array_equal(half.color, stated.color)
     assert (half.stats.bytes_per_pixel, other.stats.bytes_per_pixel) == (10.0, 9.0)
+
+
+def test_nodes_can_be_packed(small_scene: oitlab.Scene) -> None:
+    packed = {"node_color_format": "rgb9e5", "node_depth_format": "d24"}
+    frames = oitlab.render_many(
+        small_scene, [("mlab", {}), ("mlab", {"node_color_format": "unorm8"}), ("mlab", packed)]
+    )
+    assert [frame.stats.bytes_per_pixel for frame in frames] == [80.0, 32.0, 32.0]
+    for frame in frames[1:]:
+        assert 0.0 < np.abs(frame.color - frames[0].color).max() < 0.05
 
 
 def test_formats_that_make_no_sense_are_refused_by_name(small_scene: oitlab.Scene) -> None:

@@ -132,8 +132,9 @@ def test_the_cost_follows_params_and_depth_complexity() -> None:
     def bytes_per_pixel(name: str, mean: float, **params: object) -> float:
         return TABLE[name].cost(params, depth_complexity_mean=mean, depth_complexity_max=40).bytes_per_pixel
 
-    assert [bytes_per_pixel("mlab", 3.0, layers=k) for k in (1, 4)] == [8.0, 32.0]
-    assert [bytes_per_pixel("a_buffer", n) for n in (0.0, 2.5)] == [4.0, 44.0]
+    assert [bytes_per_pixel("mlab", 3.0, layers=k) for k in (1, 4)] == [20.0, 80.0]
+    assert bytes_per_pixel("mlab", 3.0, layers=4, node_color_format="unorm8") == 32.0
+    assert [bytes_per_pixel("a_buffer", n) for n in (0.0, 2.5)] == [4.0, 74.0]
     assert [bytes_per_pixel("wboit", n) for n in (0.0, 2.5)] == [20.0, 20.0]
     assert bytes_per_pixel("wboit", 2.5, format="f16", revealage_format="unorm8") == 9.0
     peeling = TABLE["depth_peeling"].cost(depth_complexity_mean=3, depth_complexity_max=np.int64(40))

@@ -96,7 +96,7 @@ class TechniqueInfo:
         >>> mlab = techniques()["mlab"]
         >>> [mlab.cost({"layers": k}, depth_complexity_mean=2.5, depth_complexity_max=32).bytes_per_pixel
         ...     for k in (4, 8)]
-        [32.0, 64.0]
+        [80.0, 160.0]
         """
         mean = scalar(depth_complexity_mean, "depth_complexity_mean")
         largest = count(depth_complexity_max, "depth_complexity_max", bits=32)

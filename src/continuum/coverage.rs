@@ -6,6 +6,7 @@ use super::masks::{Mask, RandomMasks, Words};
 use super::normalize::Core;
 use super::opacity::Opacity;
 use super::samples::unmultiplied;
+use super::stored_layers::Unmultiplied;
 use crate::fragments::Fragment;
 use crate::technique::Pixel;
 use glam::DVec3;
@@ -33,6 +34,12 @@ pub struct Samples<W> {
     pub mask: Mask<W>,
     /// Unmultiplied, so that its share is the samples' alone.
     pub color: DVec3,
+}
+
+impl<W> Unmultiplied for Samples<W> {
+    fn color_mut(&mut self) -> &mut DVec3 {
+        &mut self.color
+    }
 }
 
 /// Exact: the numbers of samples that a mask can have.

@@ -5,6 +5,7 @@ use super::layers::Node;
 use super::normalize::Core;
 use super::opacity::Opacity;
 use super::samples::unmultiplied;
+use super::stored_layers::Unmultiplied;
 use crate::fragments::Fragment;
 use crate::technique::Pixel;
 use glam::DVec3;
@@ -42,6 +43,12 @@ impl Door {
     #[expect(clippy::cast_precision_loss, reason = "far fewer than 2^53 samples")]
     fn share(&self) -> f64 {
         self.to.saturating_sub(self.from) as f64
+    }
+}
+
+impl Unmultiplied for Door {
+    fn color_mut(&mut self) -> &mut DVec3 {
+        &mut self.color
     }
 }
 

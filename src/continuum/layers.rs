@@ -3,14 +3,17 @@
 
 use super::insertion::{Arrival, Insertion};
 use super::merge::Merge;
+use super::nodes::Nodes;
 use super::normalize::Normalize;
-use super::opacity::Opacity;
+use super::opacity::{Alpha, Opacity};
 use super::oracle::{Composite, Oracle};
+use super::placed::Placed;
 use super::search::count_leading;
 use super::steps::Steps;
+use super::stored_layers::StoredAlpha;
 use crate::fragments::Fragment;
 use crate::order::sort_key;
-use crate::technique::{Cost, DepthComplexity, Pixel, Properties, Resolved, Technique};
+use crate::technique::{AnyTechnique, Cost, DepthComplexity, Pixel, Properties, Resolved, Technique};
 
 /// A stored layer.
 #[derive(Debug, Clone)]
@@ -133,6 +136,34 @@ pub struct StoredLayers<I, M, O, N> {
     pub cost: Cost,
     /// The promises.
     pub properties: Properties,
+}
+
+impl<I, M, N> StoredLayers<I, M, Alpha, N>
+where
+    I: Insertion<Alpha> + Insertion<StoredAlpha>,
+    M: Merge<Alpha> + Merge<StoredAlpha>,
+    N: Normalize,
+{
+    /// The technique, with nodes as they are to be stored.
+    pub fn stored(self, nodes: Nodes) -> Box<dyn AnyTechnique> {
+        if nodes.are_default { Box::new(self) } else { self.with_opacity(nodes.alpha()).placed(nodes) }
+    }
+}
+
+impl<I, M, O, N> StoredLayers<I, M, O, N> {
+    /// The same choices on the other axes.
+    pub fn with_opacity<P>(self, opacity: P) -> StoredLayers<I, M, P, N> {
+        let Self { stream: Stream { insertion, merge, layers, .. }, normalize, cost, properties } = self;
+        StoredLayers { stream: Stream { insertion, merge, opacity, layers }, normalize, cost, properties }
+    }
+}
+
+impl<I: Insertion<O>, M: Merge<O>, O: Opacity, N: Normalize> StoredLayers<I, M, O, N> {
+    /// The technique with depths and promises of these nodes.
+    pub fn placed(mut self, nodes: Nodes) -> Box<dyn AnyTechnique> {
+        self.properties = nodes.promises(self.properties);
+        Box::new(Placed::new(self, nodes.depths))
+    }
 }
 
 /// One pixel's list and, where the tail is weighted, its weights.

@@ -250,7 +250,8 @@ impl<O: Opacity> Merge<O> for OverClosest {
         let j = smallest(0..all.len() - 1, gap);
         if self.mean_depth {
             // the mean of neighbours is between them, so the order of nodes stays
-            let mean = f32::midpoint(all.node(j).depth(), all.node(j + 1).depth());
+            let (front, behind) = (all.node(j).depth(), all.node(j + 1).depth());
+            let mean = opacity.place(f32::midpoint(front, behind)).max(front).min(behind);
             let kept = if j == at { &mut newcomer } else { &mut nodes[j - usize::from(j > at)] };
             kept.set_depth(mean);
         }

@@ -50,8 +50,19 @@ impl Core {
         transmittance: f64,
         background: DVec3,
     ) -> Resolved {
-        let color = self.color + self.transmittance * tail.color();
-        let covered = self.coverage + self.transmittance * tail.alpha();
+        self.scale_sums_to((tail.color(), tail.alpha()), coverage, transmittance, background)
+    }
+
+    /// [`Core::scale_to`] with Σ C and Σ a of what lies behind.
+    pub fn scale_sums_to(
+        &self,
+        (color, alpha): (DVec3, f64),
+        coverage: f64,
+        transmittance: f64,
+        background: DVec3,
+    ) -> Resolved {
+        let color = self.color + self.transmittance * color;
+        let covered = self.coverage + self.transmittance * alpha;
         if covered > 0.0 {
             blend(color / covered, coverage, transmittance, background)
         } else {

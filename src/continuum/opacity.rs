@@ -25,6 +25,11 @@ pub trait Opacity: Send + Sync + 'static {
     /// A fragment of `pixel` as paint; `None` if it cannot be one.
     fn paint(&self, pixel: &Pixel<'_>, fragment: &Fragment) -> Option<Self::Paint>;
 
+    /// The depth that a node can be stored at, nearest to a wanted one.
+    fn place(&self, depth: f32) -> f32 {
+        depth
+    }
+
     /// Lets the newcomer `nodes[at]` and the nodes around it hide each other.
     fn occlude(&self, _nodes: &mut [Node<Self::Paint>], _at: usize) {}
 

@@ -5,6 +5,7 @@ use super::coverage::{Coverage, Samples};
 use super::insertion::{Arrival, Insertion};
 use super::masks::Words;
 use super::opacity::{Alpha, Layer, Opacity};
+use super::stored_layers::{Kept, StoredAlpha, StoredLayer};
 use crate::fragments::Fragment;
 use crate::random::Draws;
 use crate::technique::Pixel;
@@ -17,12 +18,25 @@ impl<W: Words> Insertion<Coverage<W>> for VisibleSamples {
     type State = ();
 
     fn admit(&self, arrival: &Arrival<'_, Coverage<W>>, (): &mut ()) -> Option<Samples<W>> {
-        let mut paint = arrival.paint()?;
-        for node in arrival.in_front {
-            paint.mask.subtract(&node.paint.mask);
-        }
-        (!paint.mask.is_empty()).then_some(paint)
+        visible(arrival)
     }
+}
+
+impl<W: Words> Insertion<Kept<Coverage<W>>> for VisibleSamples {
+    type State = ();
+
+    fn admit(&self, arrival: &Arrival<'_, Kept<Coverage<W>>>, (): &mut ()) -> Option<Samples<W>> {
+        visible(arrival)
+    }
+}
+
+/// The samples that nothing in front has.
+fn visible<W: Words, O: Opacity<Paint = Samples<W>>>(arrival: &Arrival<'_, O>) -> Option<Samples<W>> {
+    let mut paint = arrival.paint()?;
+    for node in arrival.in_front {
+        paint.mask.subtract(&node.paint.mask);
+    }
+    (!paint.mask.is_empty()).then_some(paint)
 }
 
 /// With continuous alpha: a fragment enters with the probability that its mask would show, had it one.
@@ -43,14 +57,26 @@ impl VisibleByChance {
         let draws = Draws::new(pixel.x, pixel.y, fragment.primitive, self.seed);
         draws.unit(INSERTION) < self.probability.of(occlusion, fragment.alpha.into())
     }
+
+    fn admit_paint<O: Opacity>(&self, arrival: &Arrival<'_, O>) -> Option<O::Paint> {
+        let occlusion = || 1.0 - arrival.opacity.transmittance(arrival.in_front);
+        if self.shows(arrival.pixel, arrival.fragment, occlusion) { arrival.paint() } else { None }
+    }
 }
 
 impl Insertion<Alpha> for VisibleByChance {
     type State = ();
 
     fn admit(&self, arrival: &Arrival<'_, Alpha>, (): &mut ()) -> Option<Layer> {
-        let occlusion = || 1.0 - arrival.opacity.transmittance(arrival.in_front);
-        if self.shows(arrival.pixel, arrival.fragment, occlusion) { arrival.paint() } else { None }
+        self.admit_paint(arrival)
+    }
+}
+
+impl Insertion<StoredAlpha> for VisibleByChance {
+    type State = ();
+
+    fn admit(&self, arrival: &Arrival<'_, StoredAlpha>, (): &mut ()) -> Option<StoredLayer> {
+        self.admit_paint(arrival)
     }
 }
 

@@ -13,8 +13,13 @@ pub struct Stored<T> {
 
 impl<T: Technique + Blended> Stored<T> {
     /// `technique` with sums that are stored by `recipe` in so many bytes.
+    pub fn new(technique: T, recipe: Recipe, bytes_per_pixel: f64) -> Self {
+        Self { technique, recipe, bytes_per_pixel }
+    }
+
+    /// The same behind a pointer.
     pub fn boxed(technique: T, recipe: Recipe, bytes_per_pixel: f64) -> Box<dyn AnyTechnique> {
-        Box::new(Self { technique, recipe, bytes_per_pixel })
+        Box::new(Self::new(technique, recipe, bytes_per_pixel))
     }
 }
 

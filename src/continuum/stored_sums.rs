@@ -70,6 +70,8 @@ impl Recipe {
         let sums = single(self.rgb) && single(self.alpha) && !fixed && !self.monochrome;
         let coverage = self.revealage == Format::F64 && !fixed;
         Properties {
+            unbiased: promises.unbiased && sums && coverage,
+            consistent: promises.consistent && sums && coverage,
             exact_for_one: promises.exact_for_one && sums && coverage,
             exact_for_one_color: promises.exact_for_one_color && sums && coverage,
             exact_coverage: promises.exact_coverage && coverage,

@@ -39,6 +39,18 @@ impl Format {
         if self == Self::F64 { kept + source } else { sum_to_odd(kept, source) }
     }
 
+    /// `destination + shown source`, before it is rounded, of two stored numbers and a source: what goes under what is there
+    /// already. As in [`Format::blend`], equal steps are counted whole.
+    pub fn under(self, destination: f64, shown: f64, source: f64) -> f64 {
+        let source = self.clamp_source(source);
+        if let Some(steps) = self.steps() {
+            let sum = sum_to_odd((destination * steps).round(), (shown * steps).round() * source);
+            return sum.clamp(-steps, steps).round_ties_even() / steps;
+        }
+        let added = if shown == 0.0 { 0.0 } else { shown * source };
+        if self == Self::F64 { destination + added } else { sum_to_odd(destination, added) }
+    }
+
     /// What a resolve reads: an infinite number counts as the largest one.
     pub fn read(self, stored: f64) -> f64 {
         if stored.is_infinite() { self.max_finite().copysign(stored) } else { stored }
@@ -75,6 +87,17 @@ mod tests {
         assert_eq!(Format::Unorm8.blend(0.0, 1.0, 3.0), 1.0);
         assert_eq!(Format::Snorm8.blend(0.0, 1.0, -3.0), -1.0);
         assert_eq!(Format::F16.blend(0.0, 1.0, -3.0), -3.0);
+    }
+
+    #[test]
+    fn what_goes_under_is_counted_in_whole_steps() {
+        // 64 + 63/2 = 95.5 and 64 + 65/2 = 96.5 steps are ties
+        for (shown, expected) in [(63.0, 96.0), (65.0, 96.0), (67.0, 98.0)] {
+            assert_eq!(Format::Unorm8.under(64.0 / 255.0, shown / 255.0, 0.5), expected / 255.0);
+        }
+        assert_eq!(Format::Unorm8.under(0.5, 1.0, 7.0), 1.0);
+        assert_eq!(Format::F16.under(0.25, 0.5, 0.5), 0.5);
+        assert_eq!(Format::F16.under(1.0, 0.0, f64::INFINITY), 1.0);
     }
 
     #[test]

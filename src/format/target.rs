@@ -204,10 +204,12 @@ impl Formats {
     /// # Panics
     /// If there is no such target under these params.
     pub fn of(&self, name: &str) -> Format {
-        match self.targets.iter().find(|target| target.0 == name) {
-            Some((_, format, _)) => *format,
-            None => panic!("there is no target {name:?}"),
-        }
+        self.find(name).unwrap_or_else(|| panic!("there is no target {name:?}"))
+    }
+
+    /// The format of a target that may not be there.
+    pub fn find(&self, name: &str) -> Option<Format> {
+        self.targets.iter().find(|target| target.0 == name).map(|target| target.1)
     }
 
     /// Bytes per pixel of all targets, each once. What is kept in double precision by default counts as the f32 target

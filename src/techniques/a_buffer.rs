@@ -1,6 +1,8 @@
 //! The A-buffer (Carpenter 1984): keep every fragment, sort, composite. The reference, in float64.
 
+use crate::continuum::nodes::{Nodes, bytes_of_sums, sums};
 use crate::error::Result;
+use crate::format::{Formats, Target};
 use crate::fragments::List;
 use crate::order::sort_key;
 use crate::params::{Kind, ParamSpec, Params, Value, View};
@@ -9,6 +11,8 @@ use crate::technique::{
 };
 use crate::techniques::ANY_ORDER;
 use glam::{DVec3, Vec3};
+
+mod stored;
 
 /// The registry entry.
 pub static INFO: Info = Info {
@@ -41,25 +45,62 @@ pub static INFO: Info = Info {
         )
         .when(|p| p.text("overflow") != "grow"),
     ],
-    targets: &[],
+    targets: &TARGETS,
     submission_orders: ANY_ORDER,
     random: false,
     geometry_passes: "1",
-    bytes_per_pixel: "16 n + 4 (linked list; n = mean depth complexity)",
+    bytes_per_pixel: "28 n + 4 in f32, 18 n + 4 in f16, 16 n + 4 as rgba8 and an f32 (linked list; n = mean depth complexity)",
     build,
 };
 
 #[expect(clippy::unnecessary_wraps, reason = "the signature of every technique's build")]
-fn build(params: &Params, _view: &View) -> Result<Box<dyn AnyTechnique>> {
+fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
     let capacity = match (params.text("overflow"), params.size("capacity")) {
-        ("grow", _) | (_, 0) => return Ok(Box::new(ABuffer)),
+        ("grow", _) | (_, 0) => usize::MAX,
         (_, capacity) => capacity,
     };
-    Ok(Box::new(LimitedABuffer { capacity, blend_tail: params.text("overflow") == "tail_blend" }))
+    let blend_tail = params.text("overflow") == "tail_blend";
+    let formats = Formats::from_params(INFO.targets, params);
+    let nodes = Nodes::new(&formats, view);
+    let size = Size { capacity, node: nodes.bytes + LINK, tail: bytes_of_sums(&formats) };
+    Ok(match (nodes.are_default, capacity) {
+        (false, _) => stored::build(size, blend_tail, nodes, sums(&formats)),
+        (true, usize::MAX) => Box::new(ABuffer { size }),
+        (true, _) => Box::new(LimitedABuffer { size, blend_tail }),
+    })
 }
 
-fn list_cost(nodes: f64) -> Cost {
-    Cost { geometry_passes: 1.0, bytes_per_pixel: 16.0 * nodes + 4.0 }
+static TARGETS: [Target; 4] = [
+    Target::NODE_COLOR,
+    Target::NODE_DEPTH,
+    Target::ACCUMULATION.when(has_tail),
+    Target::REVEALAGE.when(has_tail),
+];
+
+fn has_tail(params: &Params) -> bool {
+    params.text("overflow") == "tail_blend" && params.size("capacity") > 0
+}
+
+/// Bytes of a node's primitive and of the link to the next node.
+const LINK: f64 = 8.0;
+
+/// How much room lists take.
+#[derive(Debug, Clone, Copy)]
+struct Size {
+    /// Nodes per pixel, at most.
+    capacity: usize,
+    /// Bytes of a node.
+    node: f64,
+    /// Bytes of the tail.
+    tail: f64,
+}
+
+impl Size {
+    #[expect(clippy::cast_precision_loss, reason = "a cost estimate")]
+    fn cost(&self, complexity: &DepthComplexity) -> Cost {
+        let nodes = complexity.mean.min(self.capacity as f64);
+        Cost { geometry_passes: 1.0, bytes_per_pixel: self.node * nodes + 4.0 + self.tail }
+    }
 }
 
 /// Front-to-back compositing of sorted fragments (sheet 0.1): colour without background, and transmittance.
@@ -73,7 +114,9 @@ fn over(sorted: List<'_>) -> (DVec3, f64) {
 }
 
 /// The A-buffer without a limit.
-struct ABuffer;
+struct ABuffer {
+    size: Size,
+}
 
 impl Technique for ABuffer {
     type Scratch = ();
@@ -99,7 +142,7 @@ impl Technique for ABuffer {
     }
 
     fn cost(&self, complexity: &DepthComplexity) -> Cost {
-        list_cost(complexity.mean)
+        self.size.cost(complexity)
     }
 
     fn properties(&self) -> Properties {
@@ -109,7 +152,7 @@ impl Technique for ABuffer {
 
 /// The A-buffer whose pixel lists hold `capacity` fragments.
 struct LimitedABuffer {
-    capacity: usize,
+    size: Size,
     blend_tail: bool,
 }
 
@@ -118,7 +161,7 @@ impl LimitedABuffer {
     fn tail(&self, list: List<'_>, background: DVec3) -> (DVec3, f64) {
         let (mut color, mut alpha, mut transmittance) = (DVec3::ZERO, 0.0, 1.0);
         if self.blend_tail {
-            for f in list.iter().skip(self.capacity) {
+            for f in list.iter().skip(self.size.capacity) {
                 color += Vec3::from(f.color).as_dvec3();
                 alpha += f64::from(f.alpha);
                 transmittance *= 1.0 - f64::from(f.alpha);
@@ -135,7 +178,7 @@ impl Technique for LimitedABuffer {
     #[expect(clippy::cast_possible_truncation, reason = "a pixel's list is far shorter than 2^32")]
     fn resolve(&self, pixel: &Pixel<'_>, order: &mut Self::Scratch) -> Resolved {
         let list = pixel.list;
-        let kept = list.len().min(self.capacity);
+        let kept = list.len().min(self.size.capacity);
         order.clear();
         order.extend((0..kept).map(|i| (sort_key(list.depth[i], list.primitive[i]), i as u32)));
         order.sort_unstable();
@@ -151,19 +194,18 @@ impl Technique for LimitedABuffer {
         }
     }
 
-    #[expect(clippy::cast_precision_loss, reason = "a cost estimate")]
     fn cost(&self, complexity: &DepthComplexity) -> Cost {
-        list_cost(complexity.mean.min(self.capacity as f64))
+        self.size.cost(complexity)
     }
 
     fn properties(&self) -> Properties {
-        Properties {
-            consistent: true,
-            exact_for_one: true,
-            exact_coverage: self.blend_tail,
-            ..Properties::NONE
-        }
+        limited(self.blend_tail)
     }
+}
+
+/// What a list promises that has no room for all.
+fn limited(blend_tail: bool) -> Properties {
+    Properties { consistent: true, exact_for_one: true, exact_coverage: blend_tail, ..Properties::NONE }
 }
 
 #[cfg(test)]

@@ -4,9 +4,14 @@
 use crate::continuum::insertion::Always;
 use crate::continuum::layers::{StoredSteps, Stream};
 use crate::continuum::merge::SmallestError;
+use crate::continuum::nodes::{Nodes, bytes_of_sums, sums};
 use crate::continuum::opacity::Alpha;
 use crate::continuum::oracle::{Composite, TwoPass};
+use crate::continuum::placed::Placed;
+use crate::continuum::rounded_steps::RoundedSteps;
+use crate::continuum::stored_pass::StoredPass;
 use crate::error::Result;
+use crate::format::{Formats, Target};
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{AnyTechnique, Axes, Cost, Info, Properties};
 use crate::techniques::ANY_ORDER;
@@ -38,27 +43,33 @@ pub static INFO: Info = Info {
         .derived("layers >= 8", |params, _| Value::Bool(params.size("layers") >= 8)),
         Composite::param("none"),
     ],
-    targets: &[],
+    targets: &TARGETS,
     submission_orders: ANY_ORDER,
     random: false,
     geometry_passes: "2",
-    bytes_per_pixel: "8 layers + 10",
+    bytes_per_pixel: "8 layers + 20 in f32, half of that in f16",
     build,
 };
 
-fn build(params: &Params, _view: &View) -> Result<Box<dyn AnyTechnique>> {
+fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
     let layers = params.size("layers");
     let protected = if params.bool("protect_front") { (layers / 2).max(1) } else { 1 };
     let composite = Composite::from_params(params);
-    Ok(Box::new(TwoPass {
-        oracle: StoredSteps {
-            stream: Stream { insertion: Always, merge: SmallestError { protected }, opacity: Alpha, layers },
-            cost: Cost { geometry_passes: 2.0, ..Cost::list(layers, 10.0) },
-            properties: properties(layers, composite),
-        },
-        composite,
-    }))
+    let formats = Formats::from_params(INFO.targets, params);
+    let nodes = Nodes::new(&formats, view);
+    let cost = Cost { geometry_passes: 2.0, ..Cost::list(layers, nodes.bytes, bytes_of_sums(&formats)) };
+    let properties = properties(layers, composite);
+    if nodes.are_default {
+        let stream = Stream { insertion: Always, merge: SmallestError { protected }, opacity: Alpha, layers };
+        return Ok(Box::new(TwoPass { oracle: StoredSteps { stream, cost, properties }, composite }));
+    }
+    let oracle = RoundedSteps { layers, protected, nodes, cost, properties: nodes.promises(properties) };
+    let technique = StoredPass { oracle, composite, recipe: sums(&formats) };
+    Ok(Box::new(Placed::new(technique, nodes.depths)))
 }
+
+static TARGETS: [Target; 4] =
+    [Target::NODE_SHARE, Target::NODE_DEPTH, Target::ACCUMULATION, Target::REVEALAGE];
 
 /// The last value of the step function is never lost, so its total is exact; a single step, to it and at the
 /// nearest depth, is the same in any order.

@@ -3,6 +3,7 @@
 use crate::continuum::insertion::Threshold;
 use crate::continuum::layers::{StoredLayers, Stream};
 use crate::continuum::merge::DiscardFurthest;
+use crate::continuum::nodes::{LAYERS, Nodes};
 use crate::continuum::normalize::Unnormalized;
 use crate::continuum::opacity::Alpha;
 use crate::error::Result;
@@ -34,22 +35,24 @@ pub static INFO: Info = Info {
         opacity: "alpha",
     },
     params: &[THRESHOLD],
-    targets: &[],
+    targets: &LAYERS,
     submission_orders: ANY_ORDER,
     random: false,
     geometry_passes: "1",
-    bytes_per_pixel: "8 (colour and depth)",
+    bytes_per_pixel: "colour and depth: 20 in f32, 10 in f16, 8 as rgba8 and an f32",
     build,
 };
 
-fn build(params: &Params, _view: &View) -> Result<Box<dyn AnyTechnique>> {
+fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
     let insertion = Threshold(params.float("threshold"));
-    Ok(Box::new(StoredLayers {
+    let nodes = Nodes::from_params(INFO.targets, params, view);
+    let list = StoredLayers {
         stream: Stream { insertion, merge: DiscardFurthest, opacity: Alpha, layers: 1 },
         normalize: Unnormalized,
-        cost: Cost::list(1, 0.0),
+        cost: Cost::list(1, nodes.bytes, 0.0),
         properties: Properties { order_independent: true, ..Properties::NONE },
-    }))
+    };
+    Ok(list.stored(nodes))
 }
 
 #[cfg(test)]

@@ -17,8 +17,13 @@ use crate::continuum::merge::{
 };
 use crate::continuum::opacity::{Alpha, Opacity};
 use crate::continuum::oracle::{Composite, Oracle, TwoPass};
+use crate::continuum::placed::Placed;
 use crate::continuum::range::DepthRange;
+use crate::continuum::rounded_steps::RoundedSteps;
 use crate::continuum::stochastic::{Visibility, VisibleByChance, VisibleSamples};
+use crate::continuum::stored::Stored;
+use crate::continuum::stored_layers::Kept;
+use crate::continuum::stored_pass::StoredPass;
 use crate::error::{Error, Result};
 use crate::params::{Default, Kind, ParamSpec, Params, Value, View};
 use crate::technique::{
@@ -29,10 +34,12 @@ use crate::weight::{self, Weighting};
 use binned::{AveragedBins, AveragedSteps, Binning, Gate, SummedBins};
 use finish::Finish;
 use setup::Setup;
+use storage::{Storage, TARGETS};
 
 mod binned;
 mod finish;
 mod setup;
+mod storage;
 
 /// The registry entry.
 pub static INFO: Info = Info {
@@ -51,12 +58,12 @@ pub static INFO: Info = Info {
         opacity: "opacity",
     },
     params: PARAMS,
-    targets: &[],
+    targets: &TARGETS,
     submission_orders: ANY_ORDER,
     random: true,
     geometry_passes: "1, 1 more for accumulate=\"all\", 1 more for bins with range=\"pixel\"",
-    bytes_per_pixel: "8 layers (masks: bits / 8 more each; over_nearest: 8 more), 16 n + 4 unbounded, 8 samples \
-                      (all: 4), 10 bins (sum: 2); 10 more for a tail, global or all",
+    bytes_per_pixel: "20 layers (masks: bits / 8 more each; over_nearest: 16 more), 28 n + 4 unbounded, 20 samples \
+                      (all: 4, layers: 8), 20 bins (sum: 2); 20 more for a tail, global or all; about half of it in f16",
     build,
 };
 
@@ -216,10 +223,19 @@ impl Composer<'_> {
 
     /// Memory none: functions of depth in place of what is stored.
     fn functions(&self) -> Box<dyn AnyTechnique> {
-        if self.setup.normalize == "none" {
-            return self.setup.compose::<_, false>(WeightedSum);
+        let Storage { recipe, sums, .. } = self.setup.storage;
+        let wboit = || Wboit { weighting: self.weighting(), listing3_clamp: false };
+        match (self.setup.normalize, self.setup.storage.is_default()) {
+            ("none", true) => self.setup.compose::<_, false>(WeightedSum),
+            ("none", false) => self.setup.compose::<_, false>(Stored::new(WeightedSum, recipe, sums)),
+            (_, true) => self.setup.compose::<_, false>(wboit()),
+            (_, false) => self.setup.compose::<_, false>(Stored::new(wboit(), recipe, sums)),
         }
-        self.setup.compose::<_, false>(Wboit { weighting: self.weighting(), listing3_clamp: false })
+    }
+
+    /// An opacity of samples with colours in other formats.
+    fn kept<O>(&self, opacity: O) -> Kept<O> {
+        Kept { opacity, nodes: self.setup.storage.nodes }
     }
 
     fn samples(&self) -> Box<dyn AnyTechnique> {
@@ -228,6 +244,13 @@ impl Composer<'_> {
         match self.setup.insertion {
             "stochastic" if words(samples) <= 1 => self.masked_samples::<OneWord>(),
             "stochastic" => self.masked_samples::<ManyWords>(),
+            _ if self.setup.storage.is_default() => self.nested_samples(thresholds),
+            _ => self.nested_samples(self.kept(thresholds)),
+        }
+    }
+
+    fn nested_samples<O: Opacity>(&self, thresholds: O) -> Box<dyn AnyTechnique> {
+        match self.setup.insertion {
             "threshold" => self.replayed(self.threshold(), DiscardOccluded, thresholds),
             "nearest" => self.list(Nearest(self.setup.layers), DiscardOccluded, thresholds),
             _ => self.replayed(Always, DiscardOccluded, thresholds),
@@ -236,14 +259,19 @@ impl Composer<'_> {
 
     fn masked_samples<W: Words>(&self) -> Box<dyn AnyTechnique> {
         let coverage = Coverage::<W>::new(self.masks(self.setup.samples));
-        self.replayed(Always, DiscardOccluded, coverage)
+        if self.setup.storage.is_default() {
+            self.replayed(Always, DiscardOccluded, coverage)
+        } else {
+            self.replayed(Always, DiscardOccluded, self.kept(coverage))
+        }
     }
 
     /// Memory layers, unbounded, and bins of one fragment each.
     fn lists(&self) -> Box<dyn AnyTechnique> {
         match self.setup.opacity {
             "alpha" if self.setup.merge == "over_arrival" => self.arrivals(),
-            "alpha" => self.insertions(self.chance(), Alpha),
+            "alpha" if self.setup.storage.is_default() => self.insertions(self.chance(), Alpha),
+            "alpha" => self.stored_layers(),
             _ if words(self.setup.bits) <= 1 => self.masked_lists::<OneWord>(),
             _ => self.masked_lists::<ManyWords>(),
         }
@@ -251,7 +279,31 @@ impl Composer<'_> {
 
     fn masked_lists<W: Words>(&self) -> Box<dyn AnyTechnique> {
         let coverage = Coverage::<W>::new(self.masks(self.setup.bits));
-        self.insertions(VisibleSamples, coverage)
+        if self.setup.storage.is_default() {
+            self.insertions(VisibleSamples, coverage)
+        } else {
+            self.insertions(VisibleSamples, self.kept(coverage))
+        }
+    }
+
+    /// Layers of continuous alpha in nodes of other formats: those that never merge keep their alpha, the others what
+    /// shows through, and a step function as adaptive transparency has it the transmittance behind each of its steps.
+    fn stored_layers(&self) -> Box<dyn AnyTechnique> {
+        let Setup { layers, storage: Storage { nodes, .. }, .. } = self.setup;
+        match (self.setup.memory, self.setup.merge, self.setup.insertion, self.setup.accumulate) {
+            ("unbounded", ..) => self.insertions(self.chance(), nodes.fragments()),
+            (_, "smallest_error", "always", "all") => {
+                let (cost, properties) = (COST, Properties::NONE);
+                self.setup.second_pass::<_, false>(RoundedSteps {
+                    layers,
+                    protected: 1,
+                    nodes,
+                    cost,
+                    properties,
+                })
+            }
+            _ => self.insertions(self.chance(), nodes.alpha()),
+        }
     }
 
     fn arrivals(&self) -> Box<dyn AnyTechnique> {
@@ -356,7 +408,12 @@ const COST: Cost = Cost { geometry_passes: 1.0, bytes_per_pixel: 8.0 };
 
 impl Setup {
     fn compose<T: Technique, const SORTED: bool>(self, technique: T) -> Box<dyn AnyTechnique> {
-        Box::new(Composed::<T, SORTED> { technique, setup: self })
+        let composed = Composed::<T, SORTED> { technique, setup: self };
+        if self.storage.is_default() {
+            Box::new(composed)
+        } else {
+            Box::new(Placed::new(composed, self.storage.nodes.depths))
+        }
     }
 
     fn second_pass<O: Oracle, const SORTED: bool>(self, oracle: O) -> Box<dyn AnyTechnique> {
@@ -365,7 +422,11 @@ impl Setup {
             (_, "samples") => Composite::ExactBackground,
             (_, _) => Composite::None,
         };
-        self.compose::<_, SORTED>(TwoPass { oracle, composite })
+        if self.storage.is_default() {
+            self.compose::<_, SORTED>(TwoPass { oracle, composite })
+        } else {
+            self.compose::<_, SORTED>(StoredPass { oracle, composite, recipe: self.storage.recipe })
+        }
     }
 }
 

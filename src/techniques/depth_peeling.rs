@@ -1,6 +1,11 @@
 //! Depth peeling (Mammen 1989; Everitt 2001): one layer per geometry pass, nearest first.
 
+use crate::continuum::nodes::{Nodes, PEELED};
+use crate::continuum::placed::Placed;
+use crate::continuum::sums::blend;
 use crate::error::Result;
+use crate::format::Formats;
+use crate::fragments::{Fragment, List};
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{
     AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties, Resolved, Streamed, Technique,
@@ -38,11 +43,11 @@ pub static INFO: Info = Info {
             "stop a pixel when less than 1/1024 of the light behind it gets through",
         ),
     ],
-    targets: &[],
+    targets: &PEELED,
     submission_orders: ANY_ORDER,
     random: false,
     geometry_passes: "passes, at most the largest depth complexity + 1 (the pass that writes nothing)",
-    bytes_per_pixel: "16 (two depths and a colour)",
+    bytes_per_pixel: "two depths and a colour: 24 in f32, 12 in f16, 12 as rgba8 and f32",
     build,
 };
 
@@ -50,13 +55,20 @@ pub static INFO: Info = Info {
 const HARDLY_VISIBLE: f64 = 1.0 / 1024.0;
 
 #[expect(clippy::unnecessary_wraps, reason = "the signature of every technique's build")]
-fn build(params: &Params, _view: &View) -> Result<Box<dyn AnyTechnique>> {
+fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
     let passes = match params.size("passes") {
         0 => usize::MAX,
         passes => passes,
     };
     let enough = if params.bool("early_out") { HARDLY_VISIBLE } else { 0.0 };
-    Ok(Box::new(DepthPeeling { passes, enough }))
+    let formats = Formats::from_params(INFO.targets, params);
+    let nodes = Nodes::peeled(&formats, view);
+    let bytes = nodes.color_bytes + 2.0 * formats.bytes_of("depth");
+    let peeling = DepthPeeling { passes, enough, bytes };
+    if nodes.are_default {
+        return Ok(Box::new(peeling));
+    }
+    Ok(Box::new(Placed::new(StoredPeeling { peeling, nodes }, nodes.depths)))
 }
 
 /// Peeling in (depth, primitive) order, so that coincident fragments are peeled one by one.
@@ -64,6 +76,7 @@ struct DepthPeeling {
     passes: usize,
     /// Peeling stops once transmittance falls below this.
     enough: f64,
+    bytes: f64,
 }
 
 impl Technique for DepthPeeling {
@@ -104,7 +117,7 @@ impl Technique for DepthPeeling {
 
     #[expect(clippy::cast_precision_loss, reason = "a cost estimate")]
     fn cost(&self, complexity: &DepthComplexity) -> Cost {
-        Cost { geometry_passes: self.passes.min(complexity.max + 1) as f64, bytes_per_pixel: 16.0 }
+        Cost { geometry_passes: self.passes.min(complexity.max + 1) as f64, bytes_per_pixel: self.bytes }
     }
 
     fn properties(&self) -> Properties {
@@ -117,6 +130,56 @@ impl Technique for DepthPeeling {
             exact_for_one: true,
             ..Properties::NONE
         }
+    }
+}
+
+/// Peeling into a target of another format, which is rounded after every pass.
+struct StoredPeeling {
+    peeling: DepthPeeling,
+    nodes: Nodes,
+}
+
+impl StoredPeeling {
+    /// Calls `show` with each layer that a pass peels and with what shows in front of it; what shows behind all.
+    fn peel(&self, sorted: List<'_>, mut show: impl FnMut(&Fragment, f64)) -> f64 {
+        let mut transmittance = 1.0;
+        for fragment in sorted.iter().take(self.peeling.passes) {
+            if transmittance < self.peeling.enough {
+                break;
+            }
+            show(&fragment, transmittance);
+            transmittance = self.nodes.multiply(transmittance, 1.0 - f64::from(fragment.alpha));
+        }
+        transmittance
+    }
+}
+
+impl Technique for StoredPeeling {
+    type Scratch = ();
+    const NEEDS_SORTED: bool = true;
+
+    fn resolve(&self, pixel: &Pixel<'_>, (): &mut ()) -> Resolved {
+        let mut color = DVec3::ZERO;
+        let transmittance = self.peel(pixel.sorted, |fragment, shown| {
+            color = self.nodes.put_under(color, shown, Vec3::from(fragment.color).as_dvec3());
+        });
+        blend(color, 1.0, transmittance, pixel.background)
+    }
+
+    fn transmittance(&self, pixel: &Pixel<'_>, depths: &[f32], (): &mut ()) -> Option<Vec<f64>> {
+        let mut in_front = Vec::new();
+        let behind = self.peel(pixel.sorted, |_, shown| in_front.push(shown));
+        in_front.push(behind);
+        let count = |&depth: &f32| pixel.sorted.depth.partition_point(|z| *z < depth);
+        Some(depths.iter().map(|depth| in_front[count(depth).min(in_front.len() - 1)]).collect())
+    }
+
+    fn cost(&self, complexity: &DepthComplexity) -> Cost {
+        Technique::cost(&self.peeling, complexity)
+    }
+
+    fn properties(&self) -> Properties {
+        self.nodes.promises(Technique::properties(&self.peeling))
     }
 }
 

@@ -1,6 +1,10 @@
 //! Dual depth peeling (Bavoil & Myers 2008): the nearest and the furthest layer in every geometry pass.
 
+use crate::continuum::nodes::{Nodes, PEELED};
+use crate::continuum::placed::Placed;
+use crate::continuum::sums::blend;
 use crate::error::Result;
+use crate::format::Formats;
 use crate::fragments::Fragment;
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{
@@ -31,24 +35,32 @@ pub static INFO: Info = Info {
         Value::Int(0),
         "peeling passes after the one that finds the first depths; 0 goes on until nothing is left",
     )],
-    targets: &[],
+    targets: &PEELED,
     submission_orders: ANY_ORDER,
     random: false,
     geometry_passes: "1 + passes, at most 1 + ceil(n / 2) (n = largest depth complexity)",
-    bytes_per_pixel: "40 (two depth pairs, two front colours and a back colour)",
+    bytes_per_pixel: "two depth pairs, two front colours and a back colour: 64 in f32, 32 in f16, 28 as rgba8 and f32",
     build,
 };
 
-fn build(params: &Params, _view: &View) -> Result<Box<dyn AnyTechnique>> {
+fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
     let passes = match params.size("passes") {
         0 => usize::MAX,
         passes => passes,
     };
-    Ok(Box::new(DualDepthPeeling { passes }))
+    let formats = Formats::from_params(INFO.targets, params);
+    let nodes = Nodes::peeled(&formats, view);
+    let bytes = 3.0 * nodes.color_bytes + 4.0 * formats.bytes_of("depth");
+    let peeling = DualDepthPeeling { passes, bytes };
+    if nodes.are_default {
+        return Ok(Box::new(peeling));
+    }
+    Ok(Box::new(Placed::new(StoredDualPeeling { peeling, nodes }, nodes.depths)))
 }
 
 struct DualDepthPeeling {
     passes: usize,
+    bytes: f64,
 }
 
 /// Premultiplied colour and what shows through it.
@@ -116,7 +128,7 @@ impl Technique for DualDepthPeeling {
     #[expect(clippy::cast_precision_loss, reason = "a cost estimate")]
     fn cost(&self, complexity: &DepthComplexity) -> Cost {
         let peeling = self.passes.min(complexity.max.div_ceil(2));
-        Cost { geometry_passes: 1.0 + peeling as f64, bytes_per_pixel: 40.0 }
+        Cost { geometry_passes: 1.0 + peeling as f64, bytes_per_pixel: self.bytes }
     }
 
     fn properties(&self) -> Properties {
@@ -124,6 +136,60 @@ impl Technique for DualDepthPeeling {
             return Properties::EXACT;
         }
         Properties { order_independent: true, consistent: true, exact_for_one: true, ..Properties::NONE }
+    }
+}
+
+/// Peeling into targets of another format, which are rounded after every pass.
+struct StoredDualPeeling {
+    peeling: DualDepthPeeling,
+    nodes: Nodes,
+}
+
+impl StoredDualPeeling {
+    /// `F += (1 − A) C`, `A += (1 − A) a`.
+    fn under(&self, front: Side, fragment: &Fragment) -> Side {
+        let color = Vec3::from(fragment.color).as_dvec3();
+        Side {
+            color: self.nodes.put_under(front.color, front.transmittance, color),
+            transmittance: self.nodes.cover(front.transmittance, fragment.alpha.into()),
+        }
+    }
+
+    /// `B = C + (1 − a) B`, with what shows through the back beside.
+    fn over(&self, fragment: &Fragment, back: Side) -> Side {
+        let Side { color, transmittance } = Side::of(fragment);
+        Side {
+            color: self.nodes.put_over(color, transmittance, back.color),
+            transmittance: self.nodes.multiply(back.transmittance, transmittance),
+        }
+    }
+}
+
+impl Technique for StoredDualPeeling {
+    type Scratch = ();
+    const NEEDS_SORTED: bool = true;
+    const NEEDS_ARRIVAL: bool = false;
+
+    fn resolve(&self, pixel: &Pixel<'_>, (): &mut ()) -> Resolved {
+        let (sorted, n) = (pixel.sorted, pixel.sorted.len());
+        let (from_front, from_back) = self.peeling.peeled(n);
+        let front = (0..from_front).fold(Side::CLEAR, |front, i| self.under(front, &sorted.get(i)));
+        let back = (n - from_back..n).rev().fold(Side::CLEAR, |back, i| self.over(&sorted.get(i), back));
+        let all = front.over(back);
+        blend(all.color, 1.0, all.transmittance, pixel.background)
+    }
+
+    /// Of the layers as they are: the targets have none in the middle.
+    fn transmittance(&self, pixel: &Pixel<'_>, depths: &[f32], (): &mut ()) -> Option<Vec<f64>> {
+        Technique::transmittance(&self.peeling, pixel, depths, &mut ())
+    }
+
+    fn cost(&self, complexity: &DepthComplexity) -> Cost {
+        Technique::cost(&self.peeling, complexity)
+    }
+
+    fn properties(&self) -> Properties {
+        self.nodes.promises(Technique::properties(&self.peeling))
     }
 }
 

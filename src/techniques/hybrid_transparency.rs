@@ -3,9 +3,13 @@
 use crate::continuum::insertion::Always;
 use crate::continuum::layers::{StoredLayers, Stream};
 use crate::continuum::merge::DiscardFurthest;
+use crate::continuum::nodes::{Nodes, bytes_of_sums, sums};
 use crate::continuum::normalize::{Core, Global, Normalize, Tail, sums_of};
 use crate::continuum::opacity::Alpha;
+use crate::continuum::stored_sums::Recipe;
+use crate::continuum::stored_tail::{StoredGlobal, StoredTail, stored_sums_of};
 use crate::error::Result;
+use crate::format::{Formats, Target};
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{AnyTechnique, Axes, Cost, Info, Pixel, Properties, Resolved};
 use crate::techniques::ANY_ORDER;
@@ -41,32 +45,78 @@ pub static INFO: Info = Info {
             "what is scaled to the exact coverage: the tail, or everything",
         ),
     ],
-    targets: &[],
+    targets: &TARGETS,
     submission_orders: ANY_ORDER,
     random: false,
     geometry_passes: "1",
-    bytes_per_pixel: "8 layers + 10",
+    bytes_per_pixel: "20 layers + 20 in f32, half of that in f16, 8 layers as rgba8 and an f32",
     build,
 };
 
-fn build(params: &Params, _view: &View) -> Result<Box<dyn AnyTechnique>> {
+fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
     let layers = params.size("layers");
-    Ok(match (params.text("correction"), params.text("tail")) {
-        ("global", "count") => Box::new(hybrid(layers, CountedGlobal, COUNTED)),
-        ("global", _) => Box::new(hybrid(layers, Global, EXACT)),
-        (_, "count") => Box::new(hybrid(layers, CountedTail, COUNTED)),
-        (_, _) => Box::new(hybrid(layers, Tail { weighting: None }, EXACT)),
+    let formats = Formats::from_params(INFO.targets, params);
+    let nodes = Nodes::new(&formats, view);
+    let cost = Cost::list(layers, nodes.bytes, bytes_of_sums(&formats));
+    let choice = (params.text("correction"), params.text("tail"));
+    if !nodes.are_default {
+        return Ok(build_stored(layers, choice, cost, nodes, sums(&formats)));
+    }
+    Ok(match choice {
+        ("global", "count") => Box::new(hybrid(layers, CountedGlobal, cost, COUNTED)),
+        ("global", _) => Box::new(hybrid(layers, Global, cost, EXACT)),
+        (_, "count") => Box::new(hybrid(layers, CountedTail, cost, COUNTED)),
+        (_, _) => Box::new(hybrid(layers, Tail { weighting: None }, cost, EXACT)),
     })
+}
+
+/// With nodes and sums in other formats.
+fn build_stored(
+    layers: usize,
+    choice: (&str, &str),
+    cost: Cost,
+    nodes: Nodes,
+    recipe: Recipe,
+) -> Box<dyn AnyTechnique> {
+    let (counted, exact) = (recipe.properties(COUNTED), recipe.properties(EXACT));
+    let opacity = nodes.alpha();
+    match choice {
+        ("global", "count") => {
+            let tail = StoredCount::<true> { recipe };
+            hybrid(layers, tail, cost, counted).with_opacity(opacity).placed(nodes)
+        }
+        ("global", _) => {
+            let tail = StoredGlobal { recipe };
+            hybrid(layers, tail, cost, exact).with_opacity(opacity).placed(nodes)
+        }
+        (_, "count") => {
+            let tail = StoredCount::<false> { recipe };
+            hybrid(layers, tail, cost, counted).with_opacity(opacity).placed(nodes)
+        }
+        (_, _) => {
+            let tail = StoredTail { weighting: None, recipe };
+            hybrid(layers, tail, cost, exact).with_opacity(opacity).placed(nodes)
+        }
+    }
 }
 
 fn hybrid<N>(
     layers: usize,
     normalize: N,
+    cost: Cost,
     properties: Properties,
 ) -> StoredLayers<Always, DiscardFurthest, Alpha, N> {
     let stream = Stream { insertion: Always, merge: DiscardFurthest, opacity: Alpha, layers };
-    StoredLayers { stream, normalize, cost: Cost::list(layers, 10.0), properties }
+    StoredLayers { stream, normalize, cost, properties }
 }
+
+static TARGETS: [Target; 5] = [
+    Target::NODE_COLOR,
+    Target::NODE_DEPTH,
+    Target::ACCUMULATION,
+    Target::REVEALAGE.when(|p| p.text("tail") == "exact"),
+    Target::COUNT.when(|p| p.text("tail") == "count"),
+];
 
 /// A count knows nothing of how different the fragments are.
 const COUNTED: Properties =
@@ -95,6 +145,26 @@ impl Normalize for CountedGlobal {
         let (tail_coverage, tail_transmittance) = tail.read(lost.len()).mean_coverage();
         let coverage = core.coverage + core.transmittance * tail_coverage;
         core.scale_to(&tail, coverage, core.transmittance * tail_transmittance, pixel.background)
+    }
+}
+
+/// [`CountedTail`] and [`CountedGlobal`] in sums and a count of other formats.
+struct StoredCount<const GLOBAL: bool> {
+    recipe: Recipe,
+}
+
+impl<const GLOBAL: bool> Normalize for StoredCount<GLOBAL> {
+    const SEES_ZERO_FRAGMENTS: bool = true;
+
+    fn resolve(&self, pixel: &Pixel<'_>, core: &Core, lost: &[u32], _weights: &mut Vec<f32>) -> Resolved {
+        let tail = stored_sums_of(self.recipe, None, pixel.list, lost);
+        if !GLOBAL {
+            return core.over_tail(tail.over_as_mean(pixel.background));
+        }
+        let (tail_coverage, tail_transmittance) = tail.mean_coverage();
+        let coverage = core.coverage + core.transmittance * tail_coverage;
+        let transmittance = core.transmittance * tail_transmittance;
+        core.scale_sums_to((tail.color, tail.alpha), coverage, transmittance, pixel.background)
     }
 }
 

@@ -1,6 +1,7 @@
 //! What every technique promises, checked over the registry; and the identities between techniques (sheet
 //! section 3).
 
+mod formats;
 mod lists;
 mod oracles;
 mod order;

@@ -4,6 +4,7 @@ use super::mlab::MERGED;
 use crate::continuum::insertion::Always;
 use crate::continuum::layers::{StoredLayers, Stream};
 use crate::continuum::merge::OverNearest;
+use crate::continuum::nodes::{LAYERS, Nodes};
 use crate::continuum::normalize::Unnormalized;
 use crate::continuum::opacity::Alpha;
 use crate::error::Result;
@@ -33,22 +34,25 @@ pub static INFO: Info = Info {
         Value::Int(8),
         "layers kept per pixel besides the front accumulator",
     )],
-    targets: &[],
+    targets: &LAYERS,
     submission_orders: ANY_ORDER,
     random: false,
     geometry_passes: "1",
-    bytes_per_pixel: "8 layers + 8",
+    bytes_per_pixel: "20 layers + 16 in f32, half of that in f16, 8 layers + 4 as rgba8 and an f32",
     build,
 };
 
-fn build(params: &Params, _view: &View) -> Result<Box<dyn AnyTechnique>> {
+fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
     let layers = params.size("layers");
-    Ok(Box::new(StoredLayers {
+    let nodes = Nodes::from_params(INFO.targets, params, view);
+    let list = StoredLayers {
         stream: Stream { insertion: Always, merge: OverNearest, opacity: Alpha, layers },
         normalize: Unnormalized,
-        cost: Cost::list(layers, 8.0),
+        // the accumulator has a colour, but no depth
+        cost: Cost::list(layers, nodes.bytes, nodes.color_bytes),
         properties: MERGED,
-    }))
+    };
+    Ok(list.stored(nodes))
 }
 
 #[cfg(test)]

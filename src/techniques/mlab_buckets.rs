@@ -4,8 +4,9 @@ use super::mlab::MERGED;
 use crate::continuum::insertion::{Always, Arrival, Insertion};
 use crate::continuum::layers::{Node, StoredLayers, Stream};
 use crate::continuum::merge::{Merge, merge_pair};
+use crate::continuum::nodes::{LAYERS, Nodes};
 use crate::continuum::normalize::Unnormalized;
-use crate::continuum::opacity::{Alpha, Layer, Opacity};
+use crate::continuum::opacity::{Alpha, Opacity};
 use crate::continuum::range::{DepthRange, Interval, cell};
 use crate::error::Result;
 use crate::fragments::{Fragment, List};
@@ -65,36 +66,38 @@ pub static INFO: Info = Info {
         .when(|p| p.text("mode") == "transmittance"),
         DepthRange::param("pixel").when(|p| p.text("mode") == "depth"),
     ],
-    targets: &[],
+    targets: &LAYERS,
     submission_orders: ANY_ORDER,
     random: false,
     geometry_passes: "min_depth: 2; depth: 1, 1 more for range=\"pixel\"; transmittance: 1",
-    bytes_per_pixel: "min_depth: 8 layers + 8; depth: 8 layers buckets, 8 more for range=\"pixel\"; \
-                      transmittance: 8 layers buckets",
+    bytes_per_pixel: "min_depth: 20 layers + 8; depth: 20 layers buckets, 8 more for range=\"pixel\"; \
+                      transmittance: 20 layers buckets; half of a layer in f16, 8 as rgba8 and an f32",
     build,
 };
 
 fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
+    let nodes = Nodes::from_params(INFO.targets, params, view);
+    let node = nodes.bytes;
     let (layers, buckets) = (params.size("layers"), params.size("buckets"));
     let all = layers.saturating_mul(buckets);
     Ok(match params.text("mode") {
         "depth" => {
             let range = DepthRange::from_params(params, view);
             let find = f64::from(u8::from(range == DepthRange::Pixel));
-            let cost = Cost { geometry_passes: 1.0 + find, ..Cost::list(all, 8.0 * find) };
-            Box::new(buckets_of(layers, Always, DepthBuckets { buckets, range }, cost, MERGED))
+            let cost = Cost { geometry_passes: 1.0 + find, ..Cost::list(all, node, 8.0 * find) };
+            buckets_of(layers, Always, DepthBuckets { buckets, range }, cost, MERGED).stored(nodes)
         }
         "transmittance" => {
             let threshold = params.float("transmittance_threshold");
             let merge = TransmittanceBuckets { buckets, threshold };
-            Box::new(buckets_of(layers, Always, merge, Cost::list(all, 0.0), MERGED))
+            buckets_of(layers, Always, merge, Cost::list(all, node, 0.0), MERGED).stored(nodes)
         }
         _ => {
             let (front, opaque) = (params.float("front_threshold"), params.float("opaque_threshold"));
-            let cost = Cost { geometry_passes: 2.0, ..Cost::list(layers, 8.0) };
+            let cost = Cost { geometry_passes: 2.0, ..Cost::list(layers, node, 8.0) };
             let insertion = NotBehindOpaque { threshold: opaque };
             let merge = FrontBucket { threshold: front };
-            Box::new(buckets_of(layers, insertion, merge, cost, min_depth_properties(front, opaque)))
+            buckets_of(layers, insertion, merge, cost, min_depth_properties(front, opaque)).stored(nodes)
         }
     })
 }
@@ -135,14 +138,14 @@ struct NotBehindOpaque {
     threshold: f64,
 }
 
-impl Insertion<Alpha> for NotBehindOpaque {
+impl<O: Opacity> Insertion<O> for NotBehindOpaque {
     /// The nearest opaque fragment.
     type State = u64;
 
     fn begin(&self, pixel: &Pixel<'_>, opaque: &mut u64) {
         *opaque = nearest(pixel.list, |f| f64::from(f.alpha) >= self.threshold).unwrap_or(u64::MAX);
     }
-    fn admit(&self, arrival: &Arrival<'_, Alpha>, opaque: &mut u64) -> Option<Layer> {
+    fn admit(&self, arrival: &Arrival<'_, O>, opaque: &mut u64) -> Option<O::Paint> {
         if arrival.key <= *opaque { arrival.paint() } else { None }
     }
 }
@@ -154,26 +157,32 @@ struct FrontBucket {
 }
 
 impl FrontBucket {
-    fn split(nodes: &[Node<Layer>], surface: u64) -> usize {
+    fn split<P>(nodes: &[Node<P>], surface: u64) -> usize {
         nodes.partition_point(|node| node.key < surface)
     }
 }
 
-impl Merge<Alpha> for FrontBucket {
+impl<O: Opacity> Merge<O> for FrontBucket {
     /// The first surface.
     type State = u64;
 
-    fn begin(&self, _opacity: &Alpha, pixel: &Pixel<'_>, _nodes: &mut Vec<Node<Layer>>, surface: &mut u64) {
+    fn begin(&self, _opacity: &O, pixel: &Pixel<'_>, _nodes: &mut Vec<Node<O::Paint>>, surface: &mut u64) {
         *surface = nearest(pixel.list, |f| f64::from(f.alpha) > self.threshold).unwrap_or(u64::MAX);
     }
-    fn is_overfull(&self, nodes: &[Node<Layer>], _newcomer: usize, layers: usize, surface: &mut u64) -> bool {
+    fn is_overfull(
+        &self,
+        nodes: &[Node<O::Paint>],
+        _newcomer: usize,
+        layers: usize,
+        surface: &mut u64,
+    ) -> bool {
         let front = Self::split(nodes, *surface);
         front > 1 || nodes.len() - front > (layers - 1).max(1)
     }
     fn make_room(
         &self,
-        opacity: &Alpha,
-        nodes: &mut Vec<Node<Layer>>,
+        opacity: &O,
+        nodes: &mut Vec<Node<O::Paint>>,
         _newcomer: usize,
         surface: &mut u64,
         _lost: &mut Vec<u32>,
@@ -191,8 +200,8 @@ struct DepthBuckets {
 
 impl DepthBuckets {
     /// The nodes that share a bucket with the newcomer.
-    fn bucket(&self, nodes: &[Node<Layer>], newcomer: usize, interval: &Interval) -> Range<usize> {
-        let bucket = |node: &Node<Layer>| cell(interval.log_position(node.depth()), self.buckets).0;
+    fn bucket<P>(&self, nodes: &[Node<P>], newcomer: usize, interval: &Interval) -> Range<usize> {
+        let bucket = |node: &Node<P>| cell(interval.log_position(node.depth()), self.buckets).0;
         let own = bucket(&nodes[newcomer]);
         let before = nodes[..newcomer].iter().rev().take_while(|node| bucket(node) == own).count();
         let after = nodes[newcomer..].iter().take_while(|node| bucket(node) == own).count();
@@ -200,21 +209,21 @@ impl DepthBuckets {
     }
 }
 
-impl Merge<Alpha> for DepthBuckets {
+impl<O: Opacity> Merge<O> for DepthBuckets {
     type State = Interval;
 
     fn begin(
         &self,
-        _opacity: &Alpha,
+        _opacity: &O,
         pixel: &Pixel<'_>,
-        _nodes: &mut Vec<Node<Layer>>,
+        _nodes: &mut Vec<Node<O::Paint>>,
         interval: &mut Interval,
     ) {
         *interval = self.range.interval(pixel.list);
     }
     fn is_overfull(
         &self,
-        nodes: &[Node<Layer>],
+        nodes: &[Node<O::Paint>],
         newcomer: usize,
         layers: usize,
         interval: &mut Interval,
@@ -223,8 +232,8 @@ impl Merge<Alpha> for DepthBuckets {
     }
     fn make_room(
         &self,
-        opacity: &Alpha,
-        nodes: &mut Vec<Node<Layer>>,
+        opacity: &O,
+        nodes: &mut Vec<Node<O::Paint>>,
         newcomer: usize,
         interval: &mut Interval,
         _lost: &mut Vec<u32>,
@@ -246,15 +255,15 @@ fn list_of(starts: &[usize], i: usize) -> usize {
     starts.partition_point(|start| *start <= i) - 1
 }
 
-impl Merge<Alpha> for TransmittanceBuckets {
+impl<O: Opacity> Merge<O> for TransmittanceBuckets {
     /// The places where lists begin.
     type State = Vec<usize>;
 
     fn begin(
         &self,
-        _opacity: &Alpha,
+        _opacity: &O,
         _pixel: &Pixel<'_>,
-        _nodes: &mut Vec<Node<Layer>>,
+        _nodes: &mut Vec<Node<O::Paint>>,
         starts: &mut Vec<usize>,
     ) {
         starts.clear();
@@ -263,7 +272,7 @@ impl Merge<Alpha> for TransmittanceBuckets {
     /// A newcomer belongs to the last list that begins in front of it, or else to the first.
     fn is_overfull(
         &self,
-        nodes: &[Node<Layer>],
+        nodes: &[Node<O::Paint>],
         newcomer: usize,
         layers: usize,
         starts: &mut Vec<usize>,
@@ -275,8 +284,8 @@ impl Merge<Alpha> for TransmittanceBuckets {
     }
     fn make_room(
         &self,
-        opacity: &Alpha,
-        nodes: &mut Vec<Node<Layer>>,
+        opacity: &O,
+        nodes: &mut Vec<Node<O::Paint>>,
         newcomer: usize,
         starts: &mut Vec<usize>,
         _lost: &mut Vec<u32>,

@@ -3,11 +3,13 @@
 use crate::continuum::coverage::Coverage;
 use crate::continuum::insertion::Always;
 use crate::continuum::layers::{StoredLayers, Stream};
-use crate::continuum::masks::{ManyWords, OneWord, RandomMasks, TwoWords, rounded, words};
+use crate::continuum::masks::{ManyWords, OneWord, RandomMasks, TwoWords, Words, rounded, words};
 use crate::continuum::merge::OverFurthest;
+use crate::continuum::nodes::{Nodes, SAMPLES};
 use crate::continuum::normalize::{Core, Unnormalized};
 use crate::continuum::opacity::{Alpha, Layer, Opacity};
 use crate::continuum::samples::unmultiplied;
+use crate::continuum::stored_layers::{Kept, StoredAlpha, StoredLayer};
 use crate::error::Result;
 use crate::fragments::Fragment;
 use crate::params::{Kind, ParamSpec, Params, Value, View};
@@ -56,42 +58,61 @@ pub static INFO: Info = Info {
         )
         .when(|p| p.text("store") == "hybrid"),
     ],
-    targets: &[],
+    targets: &SAMPLES,
     submission_orders: ANY_ORDER,
     random: true,
     geometry_passes: "1",
-    bytes_per_pixel: "layers (8 + bits / 8); hybrid: layers (8 + alpha_bits / 8)",
+    bytes_per_pixel: "layers (node + bits / 8), a node 20 in f32, 10 in f16, 8 as rgb8 and an f32; hybrid: alpha_bits in place of bits",
     build,
 };
 
-fn build(params: &Params, _view: &View) -> Result<Box<dyn AnyTechnique>> {
-    let layers = params.size("layers");
+fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
+    // opacity has bits of its own
+    let nodes = Nodes::from_params(INFO.targets, params, view).without_shares();
     let seed = params.size("seed") as u64;
     if params.text("store") == "hybrid" {
         let bits = params.size("alpha_bits");
-        return Ok(blend(layers, bits, RoundedAlpha { levels: (1 << bits) - 1, seed }, Properties::NONE));
+        let rounded = RoundedAlpha { levels: (1 << bits) - 1, seed };
+        let list = Blend { layers: params.size("layers"), bits, nodes, properties: Properties::NONE };
+        return Ok(list.with(rounded, StoredRounded { rounded, stored: nodes.alpha() }));
     }
     let bits = params.size("bits");
     let masks = RandomMasks { bits, stratified: true, seed };
     let promise = Properties { consistent: true, ..Properties::NONE };
+    let list = Blend { layers: params.size("layers"), bits, nodes, properties: promise };
     Ok(match words(bits) {
-        0 | 1 => blend(layers, bits, Coverage::<OneWord>::new(masks), promise),
-        2 => blend(layers, bits, Coverage::<TwoWords>::new(masks), promise),
-        _ => blend(layers, bits, Coverage::<ManyWords>::new(masks), promise),
+        0 | 1 => list.with_masks::<OneWord>(masks),
+        2 => list.with_masks::<TwoWords>(masks),
+        _ => list.with_masks::<ManyWords>(masks),
     })
 }
 
 /// MLAB's choices on the other axes, with `bits` bits of opacity per layer.
-#[expect(clippy::cast_precision_loss, reason = "a cost estimate")]
-fn blend<O: Opacity>(
+struct Blend {
     layers: usize,
     bits: usize,
-    opacity: O,
+    nodes: Nodes,
     properties: Properties,
-) -> Box<dyn AnyTechnique> {
-    let stream = Stream { insertion: Always, merge: OverFurthest, opacity, layers };
-    let cost = Cost::list(layers, layers as f64 * bits as f64 / 8.0);
-    Box::new(StoredLayers { stream, normalize: Unnormalized, cost, properties })
+}
+
+impl Blend {
+    fn with_masks<W: Words>(self, masks: RandomMasks) -> Box<dyn AnyTechnique> {
+        let stored = Kept { opacity: Coverage::<W>::new(masks), nodes: self.nodes };
+        self.with(Coverage::<W>::new(masks), stored)
+    }
+
+    /// The technique with an opacity, or with its like in other formats.
+    #[expect(clippy::cast_precision_loss, reason = "a cost estimate")]
+    fn with<O: Opacity, S: Opacity>(self, opacity: O, stored: S) -> Box<dyn AnyTechnique> {
+        let Self { layers, bits, nodes, properties } = self;
+        let list = StoredLayers {
+            stream: Stream { insertion: Always, merge: OverFurthest, opacity, layers },
+            normalize: Unnormalized,
+            cost: Cost::list(layers, nodes.bytes + bits as f64 / 8.0, 0.0),
+            properties,
+        };
+        if nodes.are_default { Box::new(list) } else { list.with_opacity(stored).placed(nodes) }
+    }
 }
 
 /// Alphas in steps of 1 / L, rounded at random as a fragment enters: every later step of MLAB is linear in each
@@ -103,6 +124,18 @@ struct RoundedAlpha {
     seed: u64,
 }
 
+impl RoundedAlpha {
+    /// Premultiplied colour and coverage of a fragment.
+    fn round(self, pixel: &Pixel<'_>, fragment: &Fragment) -> Option<(DVec3, f64)> {
+        if fragment.alpha == 0.0 {
+            return None;
+        }
+        let draws = Draws::new(pixel.x, pixel.y, fragment.primitive, self.seed);
+        let coverage = f64::from(rounded(fragment.alpha, self.levels, draws)) / f64::from(self.levels);
+        Some((coverage * unmultiplied(fragment), coverage))
+    }
+}
+
 impl Opacity for RoundedAlpha {
     type Paint = Layer;
 
@@ -110,12 +143,8 @@ impl Opacity for RoundedAlpha {
         Layer::CLEAR
     }
     fn paint(&self, pixel: &Pixel<'_>, fragment: &Fragment) -> Option<Layer> {
-        if fragment.alpha == 0.0 {
-            return None;
-        }
-        let draws = Draws::new(pixel.x, pixel.y, fragment.primitive, self.seed);
-        let coverage = f64::from(rounded(fragment.alpha, self.levels, draws)) / f64::from(self.levels);
-        let color = (coverage * unmultiplied(fragment)).min(DVec3::splat(f32::MAX.into())).as_vec3();
+        let (color, coverage) = self.round(pixel, fragment)?;
+        let color = color.min(DVec3::splat(f32::MAX.into())).as_vec3();
         Some(Layer { color, coverage, transmittance: 1.0 - coverage })
     }
     fn merge(&self, front: &mut Layer, behind: &Layer) {
@@ -126,6 +155,37 @@ impl Opacity for RoundedAlpha {
     }
     fn put_behind(&self, core: &mut Core, paint: &Layer) {
         Alpha.put_behind(core, paint);
+    }
+}
+
+/// [`RoundedAlpha`] with colours in nodes of other formats.
+#[derive(Debug, Clone, Copy)]
+struct StoredRounded {
+    rounded: RoundedAlpha,
+    stored: StoredAlpha,
+}
+
+impl Opacity for StoredRounded {
+    type Paint = StoredLayer;
+
+    fn empty(&self) -> StoredLayer {
+        self.stored.empty()
+    }
+    fn paint(&self, pixel: &Pixel<'_>, fragment: &Fragment) -> Option<StoredLayer> {
+        let (color, coverage) = self.rounded.round(pixel, fragment)?;
+        Some(self.stored.store(color, coverage))
+    }
+    fn place(&self, depth: f32) -> f32 {
+        self.stored.place(depth)
+    }
+    fn merge(&self, front: &mut StoredLayer, behind: &StoredLayer) {
+        self.stored.merge(front, behind);
+    }
+    fn behind(&self, shown: f64, paint: &StoredLayer) -> f64 {
+        self.stored.behind(shown, paint)
+    }
+    fn put_behind(&self, core: &mut Core, paint: &StoredLayer) {
+        self.stored.put_behind(core, paint);
     }
 }
 

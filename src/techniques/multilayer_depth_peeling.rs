@@ -3,6 +3,7 @@
 use crate::continuum::insertion::Always;
 use crate::continuum::layers::{StoredLayers, Stream};
 use crate::continuum::merge::{DiscardFurthest, DiscardOccupied};
+use crate::continuum::nodes::{LAYERS, Nodes};
 use crate::continuum::normalize::Unnormalized;
 use crate::continuum::opacity::Alpha;
 use crate::continuum::range::DepthRange;
@@ -39,44 +40,41 @@ pub static INFO: Info = Info {
             .when(|p| p.text("mode") == "nearest"),
         DepthRange::param("pixel").when(|p| p.text("mode") == "bucket"),
     ],
-    targets: &[],
+    targets: &LAYERS,
     submission_orders: ANY_ORDER,
     random: false,
     geometry_passes: "passes; bucket: 1, 1 more for range=\"pixel\"",
-    bytes_per_pixel: "8 layers + 8",
+    bytes_per_pixel: "20 layers + 8 in f32, 10 layers + 8 in f16, 8 layers + 8 as rgba8 and an f32",
     build,
 };
 
 fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
     let layers = params.size("layers");
+    let nodes = Nodes::from_params(INFO.targets, params, view);
+    let list = Cost::list(layers, nodes.bytes, 8.0);
     if params.text("mode") == "bucket" {
         let range = DepthRange::from_params(params, view);
-        return Ok(Box::new(StoredLayers {
-            stream: Stream {
-                insertion: Always,
-                merge: DiscardOccupied { bins: layers, range },
-                opacity: Alpha,
-                layers,
-            },
+        let merge = DiscardOccupied { bins: layers, range };
+        let buckets = StoredLayers {
+            stream: Stream { insertion: Always, merge, opacity: Alpha, layers },
             normalize: Unnormalized,
-            cost: Cost {
-                geometry_passes: if range == DepthRange::Pixel { 2.0 } else { 1.0 },
-                ..Cost::list(layers, 8.0)
-            },
+            cost: Cost { geometry_passes: if range == DepthRange::Pixel { 2.0 } else { 1.0 }, ..list },
             properties: PEELED,
-        }));
+        };
+        return Ok(buckets.stored(nodes));
     }
     let passes = params.size("passes");
     #[expect(clippy::cast_precision_loss, reason = "a cost estimate")]
-    let cost = Cost { geometry_passes: passes as f64, ..Cost::list(layers, 8.0) };
+    let cost = Cost { geometry_passes: passes as f64, ..list };
     // pass p's k nearest behind pass p − 1's: together they are the p k nearest
     let layers = layers.saturating_mul(passes);
-    Ok(Box::new(StoredLayers {
+    let nearest = StoredLayers {
         stream: Stream { insertion: Always, merge: DiscardFurthest, opacity: Alpha, layers },
         normalize: Unnormalized,
         cost,
         properties: Properties { consistent: true, ..PEELED },
-    }))
+    };
+    Ok(nearest.stored(nodes))
 }
 
 /// What is kept is a function of the set of fragments.

@@ -1,6 +1,8 @@
 //! Screen-door transparency (Fuchs et al. 1985) by alpha to coverage: the same samples for the same alpha.
 
 use crate::continuum::door::Thresholds;
+use crate::continuum::nodes::{AsTheyAre, Keep, Nodes, SAMPLES};
+use crate::continuum::placed::Placed;
 use crate::continuum::samples::{Shown, uncovered, unmultiplied};
 use crate::continuum::steps::Steps;
 use crate::error::Result;
@@ -34,23 +36,32 @@ pub static INFO: Info = Info {
         Value::Int(16),
         "depth and colour samples per pixel",
     )],
-    targets: &[],
+    targets: &SAMPLES,
     submission_orders: ANY_ORDER,
     random: false,
     geometry_passes: "1",
-    bytes_per_pixel: "8 samples (a depth and a colour each)",
+    bytes_per_pixel: "20 samples in f32 (a depth and a colour each), 10 in f16, 8 as rgb8 and an f32",
     build,
 };
 
-fn build(params: &Params, _view: &View) -> Result<Box<dyn AnyTechnique>> {
-    Ok(Box::new(ScreenDoor { thresholds: Thresholds { samples: params.size("samples") } }))
+fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
+    let nodes = Nodes::from_params(INFO.targets, params, view);
+    let thresholds = Thresholds { samples: params.size("samples") };
+    let bytes = nodes.bytes;
+    if nodes.are_default {
+        return Ok(Box::new(ScreenDoor { thresholds, colors: AsTheyAre, bytes }));
+    }
+    Ok(Box::new(Placed::new(ScreenDoor { thresholds, colors: nodes, bytes }, nodes.depths)))
 }
 
-struct ScreenDoor {
+struct ScreenDoor<K> {
     thresholds: Thresholds,
+    colors: K,
+    /// Of a sample.
+    bytes: f64,
 }
 
-impl ScreenDoor {
+impl<K> ScreenDoor<K> {
     /// Calls `show` with every fragment that some sample shows, nearest first, with how many do and how many
     /// are covered then. A fragment that covers more samples than those in front shows in the surplus.
     fn each_shown(&self, sorted: List<'_>, mut show: impl FnMut(&Fragment, usize, usize)) {
@@ -65,13 +76,15 @@ impl ScreenDoor {
     }
 }
 
-impl Technique for ScreenDoor {
+impl<K: Keep> Technique for ScreenDoor<K> {
     type Scratch = ();
     const NEEDS_SORTED: bool = true;
 
     fn resolve(&self, pixel: &Pixel<'_>, (): &mut ()) -> Resolved {
         let mut shown = Shown::BACKGROUND;
-        self.each_shown(pixel.sorted, |fragment, visible, _| shown.add(visible, unmultiplied(fragment)));
+        self.each_shown(pixel.sorted, |fragment, visible, _| {
+            shown.add(visible, self.colors.keep(unmultiplied(fragment)));
+        });
         shown.over(self.thresholds.samples, pixel.background)
     }
 
@@ -86,9 +99,8 @@ impl Technique for ScreenDoor {
         Some(depths.iter().map(|&depth| steps.at(depth)).collect())
     }
 
-    #[expect(clippy::cast_precision_loss, reason = "a cost estimate")]
     fn cost(&self, _complexity: &DepthComplexity) -> Cost {
-        Cost { geometry_passes: 1.0, bytes_per_pixel: 8.0 * self.thresholds.samples as f64 }
+        Cost::list(self.thresholds.samples, self.bytes, 0.0)
     }
 
     fn properties(&self) -> Properties {

@@ -4,13 +4,20 @@
 use crate::continuum::coverage::Coverage;
 use crate::continuum::insertion::Insertion;
 use crate::continuum::layers::{StoredLayers, StoredSteps, Stream};
-use crate::continuum::masks::{ManyWords, OneWord, RandomMasks, TwoWords, words};
+use crate::continuum::masks::{ManyWords, OneWord, RandomMasks, TwoWords, Words, words};
 use crate::continuum::merge::DiscardFurthest;
+use crate::continuum::nodes::{Nodes, bytes_of_sums, sums};
 use crate::continuum::normalize::{Tail, Unnormalized};
 use crate::continuum::opacity::{Alpha, Opacity};
 use crate::continuum::oracle::{Composite, TwoPass};
+use crate::continuum::placed::Placed;
 use crate::continuum::stochastic::{Visibility, VisibleByChance, VisibleSamples};
+use crate::continuum::stored_layers::Kept;
+use crate::continuum::stored_pass::StoredPass;
+use crate::continuum::stored_sums::Recipe;
+use crate::continuum::stored_tail::StoredTail;
 use crate::error::Result;
+use crate::format::{Formats, Target};
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{
     AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties, Resolved, Technique,
@@ -77,22 +84,35 @@ pub static INFO: Info = Info {
              is hidden later may have pushed out a visible one",
         ),
     ],
-    targets: &[],
+    targets: &TARGETS,
     submission_orders: ANY_ORDER,
     random: true,
     geometry_passes: "stored: 1; all: 2",
-    bytes_per_pixel: "all: layers (4 + b / 8) + 12 for masks, 8 layers + 12 for alphas; stored: 4 more per layer \
-                      of masks for its colour, 12 less",
+    bytes_per_pixel: "all: layers (4 + b / 8) + 20 for masks, 8 layers + 20 for alphas; stored: layers (20 + b / 8) for \
+                      masks, 20 layers for alphas; half of that in f16, b / 8 aside",
     build,
 };
 
-fn build(params: &Params, _view: &View) -> Result<Box<dyn AnyTechnique>> {
-    let setup = Setup::from_params(params);
+static TARGETS: [Target; 5] = [
+    Target::NODE_COLOR.when(|p| p.text("accumulate") == "stored"),
+    Target::NODE_SHARE.when(|p| p.text("variant") == "alpha" && p.text("accumulate") == "all"),
+    Target::NODE_DEPTH,
+    Target::ACCUMULATION.when(|p| p.text("accumulate") == "all"),
+    Target::REVEALAGE.when(|p| p.text("accumulate") == "all"),
+];
+
+fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
+    let setup = Setup::from_params(params, view);
     let (bits, seed) = (setup.bits, params.size("seed") as u64);
     let stratified = params.text("probability") == "stratified";
     if !setup.masks {
         let probability = Visibility::new(bits, stratified);
-        return Ok(setup.technique(VisibleByChance { probability, seed }, Alpha));
+        let chance = VisibleByChance { probability, seed };
+        return Ok(if setup.nodes.are_default {
+            setup.technique(chance, Alpha)
+        } else {
+            setup.stored_technique(chance, setup.nodes.alpha())
+        });
     }
     let masks = RandomMasks { bits, stratified, seed };
     Ok(match words(bits) {
@@ -100,9 +120,9 @@ fn build(params: &Params, _view: &View) -> Result<Box<dyn AnyTechnique>> {
             let valid = "a mask has 1 to 4096 bits; bits=0, without limit, goes with variant=\"alpha\"";
             return Err(params.error("bits is 0 with variant=\"mask\"", valid));
         }
-        1 => setup.technique(VisibleSamples, Coverage::<OneWord>::new(masks)),
-        2 => setup.technique(VisibleSamples, Coverage::<TwoWords>::new(masks)),
-        _ => setup.technique(VisibleSamples, Coverage::<ManyWords>::new(masks)),
+        1 => setup.masked::<OneWord>(masks),
+        2 => setup.masked::<TwoWords>(masks),
+        _ => setup.masked::<ManyWords>(masks),
     })
 }
 
@@ -122,10 +142,17 @@ struct Setup {
     masks: bool,
     sorted: bool,
     accumulate: Accumulate,
+    /// How layers are stored, the sums of a second pass, and the bytes of these.
+    nodes: Nodes,
+    recipe: Recipe,
+    sums: f64,
 }
 
 impl Setup {
-    fn from_params(params: &Params) -> Self {
+    fn from_params(params: &Params, view: &View) -> Self {
+        let formats = Formats::from_params(INFO.targets, params);
+        let nodes = Nodes::new(&formats, view);
+        let masks = params.text("variant") == "mask";
         let accumulate = match (params.text("accumulate"), params.text("correction")) {
             ("stored", _) => Accumulate::Stored,
             (_, "tail") => Accumulate::Tail,
@@ -135,9 +162,21 @@ impl Setup {
         Self {
             layers: params.size("layers"),
             bits: params.size("bits"),
-            masks: params.text("variant") == "mask",
+            masks,
             sorted: params.text("replay") == "sorted",
             accumulate,
+            nodes: if masks { nodes.without_shares() } else { nodes },
+            recipe: sums(&formats),
+            sums: bytes_of_sums(&formats),
+        }
+    }
+
+    fn masked<W: Words>(&self, masks: RandomMasks) -> Box<dyn AnyTechnique> {
+        let (opacity, nodes) = (Coverage::<W>::new(masks), self.nodes);
+        if nodes.are_default {
+            self.technique(VisibleSamples, opacity)
+        } else {
+            self.stored_technique(VisibleSamples, Kept { opacity, nodes })
         }
     }
 
@@ -157,26 +196,46 @@ impl Setup {
         }
     }
 
+    /// The same with nodes and sums in other formats.
+    fn stored_technique<I: Insertion<O>, O: Opacity>(
+        &self,
+        insertion: I,
+        opacity: O,
+    ) -> Box<dyn AnyTechnique> {
+        let stream = Stream { insertion, merge: DiscardFurthest, opacity, layers: self.layers };
+        let (cost, recipe) = (self.cost(), self.recipe);
+        let properties = self.nodes.promises(self.properties());
+        match self.accumulate {
+            Accumulate::Stored => {
+                self.replay(StoredLayers { stream, normalize: Unnormalized, cost, properties })
+            }
+            Accumulate::Tail => {
+                let normalize = StoredTail { weighting: None, recipe };
+                let properties = recipe.properties(properties);
+                self.replay(StoredLayers { stream, normalize, cost, properties })
+            }
+            Accumulate::All(composite) => {
+                let oracle = StoredSteps { stream, cost, properties };
+                self.replay(StoredPass { oracle, composite, recipe })
+            }
+        }
+    }
+
     fn replay<T: Technique>(&self, technique: T) -> Box<dyn AnyTechnique> {
-        if self.sorted {
-            Box::new(Replay::<T, true>(technique))
-        } else {
-            Box::new(Replay::<T, false>(technique))
+        match (self.sorted, self.nodes.are_default) {
+            (true, true) => Box::new(Replay::<T, true>(technique)),
+            (true, false) => Box::new(Placed::new(Replay::<T, true>(technique), self.nodes.depths)),
+            (false, true) => Box::new(Replay::<T, false>(technique)),
+            (false, false) => Box::new(Placed::new(Replay::<T, false>(technique), self.nodes.depths)),
         }
     }
 
     #[expect(clippy::cast_precision_loss, reason = "a cost estimate")]
     fn cost(&self) -> Cost {
-        let opacity = if self.masks { self.bits as f64 / 8.0 } else { 4.0 };
-        let layers = self.layers as f64;
-        match (self.accumulate, self.masks) {
-            // an alpha layer's depth and RGBA8; a mask's colour comes on top
-            (Accumulate::Stored, false) => Cost { geometry_passes: 1.0, bytes_per_pixel: 8.0 * layers },
-            (Accumulate::Stored, true) => {
-                Cost { geometry_passes: 1.0, bytes_per_pixel: layers * (8.0 + opacity) }
-            }
-            _ => Cost { geometry_passes: 2.0, bytes_per_pixel: layers * (4.0 + opacity) + 12.0 },
-        }
+        // a layer's depth, its colour or alpha, and its mask
+        let mask = if self.masks { self.bits as f64 / 8.0 } else { 0.0 };
+        let passes = if self.accumulate == Accumulate::Stored { 1.0 } else { 2.0 };
+        Cost { geometry_passes: passes, ..Cost::list(self.layers, self.nodes.bytes + mask, self.sums) }
     }
 
     fn properties(&self) -> Properties {
@@ -202,7 +261,7 @@ impl Setup {
 }
 
 /// A technique that sees fragments front to back, or as they are submitted.
-struct Replay<T, const SORTED: bool>(T);
+pub(super) struct Replay<T, const SORTED: bool>(pub T);
 
 impl<T: Technique, const SORTED: bool> Replay<T, SORTED> {
     fn replayed<'a>(pixel: &Pixel<'a>) -> Pixel<'a> {

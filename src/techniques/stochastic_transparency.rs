@@ -2,12 +2,19 @@
 //! samples, and each sample shows its nearest fragment; stratified as Laine & Karras (2011) do.
 
 use crate::continuum::masks::{ManyWords, OneWord, RandomMasks, TwoWords, Words, words};
+use crate::continuum::nodes::{AsTheyAre, Keep, Nodes, bytes_of_sums, sums};
+use crate::continuum::normalize::sums_of_all;
 use crate::continuum::oracle::{Composite, Oracle, TwoPass};
+use crate::continuum::placed::Placed;
 use crate::continuum::samples::{DepthTest, Shown, uncovered, unmultiplied};
 use crate::continuum::steps::Steps;
-use crate::continuum::sums::BlendSums;
+use crate::continuum::stored_pass::StoredPass;
+use crate::continuum::stored_sums::Recipe;
+use crate::continuum::stored_tail::stored_sums_of_all;
+use crate::continuum::sums::Sums;
 use crate::error::Result;
-use crate::fragments::Fragment;
+use crate::format::{Format, Formats, Target};
+use crate::fragments::{Fragment, List};
 use crate::order::sort_key;
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{
@@ -55,44 +62,108 @@ pub static INFO: Info = Info {
             "samples keep colours and are averaged, or keep depths alone, for a second pass to look through",
         ),
     ],
-    targets: &[],
+    targets: &TARGETS,
     submission_orders: ANY_ORDER,
     random: true,
     geometry_passes: "color: 1, 1 more for correction=\"alpha\"; depth: 2",
-    bytes_per_pixel: "color: 8 samples, 2 more for correction=\"alpha\"; depth: 4 samples + 10 (sums and R)",
+    bytes_per_pixel: "color: 20 samples, 4 more for correction=\"alpha\"; depth: 4 samples + 20 (sums and R); half of that in f16",
     build,
 };
 
-fn build(params: &Params, _view: &View) -> Result<Box<dyn AnyTechnique>> {
+static TARGETS: [Target; 4] = [
+    Target::SAMPLE_COLOR.when(|p| p.text("mode") == "color"),
+    Target::NODE_DEPTH,
+    Target::ACCUMULATION.when(|p| p.text("mode") == "depth"),
+    Target::REVEALAGE.when(|p| p.text("mode") == "depth" || p.text("correction") == "alpha"),
+];
+
+fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
+    let formats = Formats::from_params(INFO.targets, params);
     Ok(match words(params.size("samples")) {
-        0 | 1 => build_with::<OneWord>(params),
-        2 => build_with::<TwoWords>(params),
-        _ => build_with::<ManyWords>(params),
+        0 | 1 => build_with::<OneWord>(params, &formats, view),
+        2 => build_with::<TwoWords>(params, &formats, view),
+        _ => build_with::<ManyWords>(params, &formats, view),
     })
 }
 
-fn build_with<W: Words>(params: &Params) -> Box<dyn AnyTechnique> {
+fn build_with<W: Words>(params: &Params, formats: &Formats, view: &View) -> Box<dyn AnyTechnique> {
+    let nodes = Nodes::new(formats, view);
+    let (recipe, depths) = (sums(formats), nodes.depths);
     let masks = RandomMasks {
         bits: params.size("samples"),
         stratified: params.bool("stratified"),
         seed: params.size("seed") as u64,
     };
     let corrected = params.text("correction") == "alpha";
+    let bytes = Cost::list(masks.bits, nodes.bytes, bytes_of_sums(formats)).bytes_per_pixel;
     if params.text("mode") == "color" {
-        return Box::new(StochasticColor::<W> { masks, corrected, width: PhantomData });
+        let promises = nodes.promises(Properties {
+            unbiased: !corrected,
+            exact_coverage: corrected && recipe.revealage == Format::F64,
+            ..STOCHASTIC
+        });
+        let samples = StochasticColor::<W, _> {
+            masks,
+            corrected,
+            bytes,
+            promises,
+            colors: AsTheyAre,
+            width: PhantomData,
+        };
+        if nodes.are_default {
+            return Box::new(samples);
+        }
+        return Box::new(Placed::new(samples.keeping((nodes, recipe)), depths));
     }
     let composite = if corrected { Composite::Normalize } else { Composite::ExactBackground };
-    Box::new(TwoPass { oracle: StochasticDepth::<W> { masks, width: PhantomData }, composite })
+    let oracle = StochasticDepth::<W> { masks, nodes, bytes, width: PhantomData };
+    if nodes.are_default {
+        return Box::new(TwoPass { oracle, composite });
+    }
+    Box::new(Placed::new(StoredPass { oracle, composite, recipe }, depths))
 }
 
 /// What holds of every mode: masks do not know when a fragment arrives, and noise falls with samples.
 const STOCHASTIC: Properties = Properties { order_independent: true, consistent: true, ..Properties::NONE };
 
 /// Samples that keep colours.
-struct StochasticColor<W> {
+struct StochasticColor<W, K> {
     masks: RandomMasks,
     corrected: bool,
+    bytes: f64,
+    promises: Properties,
+    colors: K,
     width: PhantomData<W>,
+}
+
+impl<W, K> StochasticColor<W, K> {
+    fn keeping<L>(self, colors: L) -> StochasticColor<W, L> {
+        let Self { masks, corrected, bytes, promises, width, .. } = self;
+        StochasticColor { masks, corrected, bytes, promises, colors, width }
+    }
+}
+
+/// How samples keep colours, and a pixel the share of all its fragments.
+trait Store: Keep {
+    fn net(&self, list: List<'_>) -> Sums;
+}
+
+impl Store for AsTheyAre {
+    fn net(&self, list: List<'_>) -> Sums {
+        sums_of_all(list).read(0)
+    }
+}
+
+impl Keep for (Nodes, Recipe) {
+    fn keep(&self, color: DVec3) -> DVec3 {
+        self.0.keep(color)
+    }
+}
+
+impl Store for (Nodes, Recipe) {
+    fn net(&self, list: List<'_>) -> Sums {
+        stored_sums_of_all(self.1, list)
+    }
 }
 
 /// One pixel's working memory.
@@ -121,22 +192,21 @@ impl<W: Words> Samples<W> {
     }
 }
 
-impl<W: Words> Technique for StochasticColor<W> {
+impl<W: Words, K: Store> Technique for StochasticColor<W, K> {
     type Scratch = Samples<W>;
     const NEEDS_SORTED: bool = true;
 
     fn resolve(&self, pixel: &Pixel<'_>, samples: &mut Samples<W>) -> Resolved {
         let mut shown = Shown::BACKGROUND;
-        samples.test.run(&self.masks, pixel, |f, visible| shown.add(visible, unmultiplied(f)));
+        samples.test.run(&self.masks, pixel, |f, visible| {
+            shown.add(visible, self.colors.keep(unmultiplied(f)));
+        });
         if !self.corrected {
             return shown.over(self.masks.bits, pixel.background);
         }
-        let mut net = BlendSums::CLEAR;
-        for (&color, &alpha) in pixel.sorted.color.iter().zip(pixel.sorted.alpha) {
-            net.add(1.0, color, alpha);
-        }
         // no sample covered: the layers' share stays black
-        net.read(0).cover(shown.average(self.masks.bits).unwrap_or(DVec3::ZERO), pixel.background)
+        let net = self.colors.net(pixel.sorted);
+        net.cover(shown.average(self.masks.bits).unwrap_or(DVec3::ZERO), pixel.background)
     }
 
     fn transmittance(&self, pixel: &Pixel<'_>, depths: &[f32], samples: &mut Samples<W>) -> Option<Vec<f64>> {
@@ -144,20 +214,21 @@ impl<W: Words> Technique for StochasticColor<W> {
         Some(depths.iter().map(|&depth| samples.steps.at(depth)).collect())
     }
 
-    #[expect(clippy::cast_precision_loss, reason = "a cost estimate")]
     fn cost(&self, _complexity: &DepthComplexity) -> Cost {
         let net = f64::from(u8::from(self.corrected));
-        Cost { geometry_passes: 1.0 + net, bytes_per_pixel: 8.0 * self.masks.bits as f64 + 2.0 * net }
+        Cost { geometry_passes: 1.0 + net, bytes_per_pixel: self.bytes }
     }
 
     fn properties(&self) -> Properties {
-        Properties { unbiased: !self.corrected, exact_coverage: self.corrected, ..STOCHASTIC }
+        self.promises
     }
 }
 
 /// Samples that keep depths: a transmittance function with steps of 1 / S.
 struct StochasticDepth<W> {
     masks: RandomMasks,
+    nodes: Nodes,
+    bytes: f64,
     width: PhantomData<W>,
 }
 
@@ -178,21 +249,20 @@ impl<W: Words> Oracle for StochasticDepth<W> {
         map.steps.total()
     }
 
-    #[expect(clippy::cast_precision_loss, reason = "a cost estimate")]
     fn cost(&self, _complexity: &DepthComplexity) -> Cost {
-        Cost { geometry_passes: 2.0, bytes_per_pixel: 4.0 * self.masks.bits as f64 + 10.0 }
+        Cost { geometry_passes: 2.0, bytes_per_pixel: self.bytes }
     }
 
     /// The nearest fragment has T̂ = 1, so that something always shows.
     fn properties(&self, composite: Composite) -> Properties {
         let corrected = composite == Composite::Normalize;
-        Properties {
+        self.nodes.promises(Properties {
             unbiased: !corrected,
             exact_for_one: true,
             exact_for_one_color: corrected,
             exact_coverage: true,
             ..STOCHASTIC
-        }
+        })
     }
 }
 

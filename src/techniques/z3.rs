@@ -4,6 +4,7 @@ use super::mlab::MERGED;
 use crate::continuum::insertion::Always;
 use crate::continuum::layers::{StoredLayers, Stream};
 use crate::continuum::merge::OverClosest;
+use crate::continuum::nodes::{LAYERS, Nodes};
 use crate::continuum::normalize::Unnormalized;
 use crate::continuum::opacity::Alpha;
 use crate::error::Result;
@@ -36,23 +37,25 @@ pub static INFO: Info = Info {
             "where a merged layer lies: at the nearer of its two depths, or at their mean",
         ),
     ],
-    targets: &[],
+    targets: &LAYERS,
     submission_orders: ANY_ORDER,
     random: false,
     geometry_passes: "1",
-    bytes_per_pixel: "8 layers",
+    bytes_per_pixel: "20 layers in f32, 10 in f16, 8 as rgba8 and an f32",
     build,
 };
 
-fn build(params: &Params, _view: &View) -> Result<Box<dyn AnyTechnique>> {
+fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
     let layers = params.size("layers");
     let merge = OverClosest { mean_depth: params.text("merge_depth") == "mean" };
-    Ok(Box::new(StoredLayers {
+    let nodes = Nodes::from_params(INFO.targets, params, view);
+    let list = StoredLayers {
         stream: Stream { insertion: Always, merge, opacity: Alpha, layers },
         normalize: Unnormalized,
-        cost: Cost::list(layers, 0.0),
+        cost: Cost::list(layers, nodes.bytes, 0.0),
         properties: MERGED,
-    }))
+    };
+    Ok(list.stored(nodes))
 }
 
 #[cfg(test)]

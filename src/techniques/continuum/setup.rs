@@ -1,5 +1,6 @@
 //! A composition: which choices go together and what they promise.
 
+use super::storage::Storage;
 use crate::continuum::range::DepthRange;
 use crate::error::Result;
 use crate::params::{Params, View};
@@ -20,6 +21,7 @@ pub struct Setup {
     pub samples: usize,
     pub bits: usize,
     pub range: DepthRange,
+    pub storage: Storage,
     range_covers_scene: bool,
 }
 
@@ -46,6 +48,7 @@ impl Setup {
             samples: params.size("samples"),
             bits: params.size("bits"),
             range,
+            storage: Storage::from_params(params, view),
             range_covers_scene: range.covers(view),
         };
         match setup.refusal() {
@@ -61,6 +64,21 @@ impl Setup {
             .or_else(|| self.opacity_refusal())
             .or_else(|| self.accumulate_refusal())
             .or_else(|| self.normalize_refusal())
+            .or_else(|| self.format_refusal())
+    }
+
+    /// Formats are those of nodes and sums; what is stored otherwise is left to the techniques of that name.
+    fn format_refusal(&self) -> Option<(String, &'static str)> {
+        if self.storage.is_default() {
+            return None;
+        }
+        let valid = match self.merge {
+            "over_arrival" => "a framebuffer's format is the color_format of \"alpha_compositing\"",
+            "sum" => "sums of absorbance in other formats are those of \"opacity_shadow_maps\"",
+            "average" => "blended bins in other formats are those of \"lwboit\"",
+            _ => return None,
+        };
+        Some((format!("merge=\"{}\" with a format other than the default", self.merge), valid))
     }
 
     fn memory_refusal(&self) -> Option<(String, &'static str)> {
@@ -188,25 +206,42 @@ impl Setup {
     /// The modelled cost (sheet 1.2), by what is stored.
     #[expect(clippy::cast_precision_loss, reason = "a cost estimate")]
     pub fn cost(&self, complexity: &DepthComplexity) -> Cost {
-        let (stored, corrected) = (self.accumulate == "stored", self.normalize != "none");
-        let node = if self.opacity == "coverage" { 8.0 + self.bits as f64 / 8.0 } else { 8.0 };
+        let stored = self.accumulate == "stored";
+        let masks = self.opacity == "coverage" && self.memory != "samples";
+        let nodes = self.storage.nodes;
+        let node = nodes.bytes + if masks { self.bits as f64 / 8.0 } else { 0.0 };
         let finds_range = self.memory == "bins" && self.range == DepthRange::Pixel;
         let bytes = match self.memory {
-            "layers" => self.layers as f64 * node + if self.merge == "over_nearest" { 8.0 } else { 0.0 },
+            "layers" => {
+                let front = if self.merge == "over_nearest" { nodes.color_bytes } else { 0.0 };
+                self.layers as f64 * node + front
+            }
             "unbounded" => (node + 8.0) * complexity.mean + 4.0,
-            "samples" => self.samples as f64 * if stored { 8.0 } else { 4.0 },
-            "bins" => self.bins as f64 * if self.merge == "sum" { 2.0 } else { 10.0 },
-            _ => 8.0 + if corrected { 2.0 } else { 0.0 },
+            "samples" => self.samples as f64 * node,
+            "bins" => {
+                let bin = match self.merge {
+                    "sum" => 2.0,
+                    "average" => Storage::BIN,
+                    _ => node,
+                };
+                self.bins as f64 * bin
+            }
+            _ => 0.0,
         };
-        let sums = !stored || (corrected && self.memory != "none");
         Cost {
             geometry_passes: 1.0 + f64::from(u8::from(!stored)) + f64::from(u8::from(finds_range)),
-            bytes_per_pixel: bytes + if sums { 10.0 } else { 0.0 } + if finds_range { 8.0 } else { 0.0 },
+            bytes_per_pixel: bytes + self.storage.sums + if finds_range { 8.0 } else { 0.0 },
         }
     }
 
     /// The promises. Order independence is said exactly; the others, where they are plain.
     pub fn properties(&self) -> Properties {
+        let promises = self.storage.nodes.promises(self.plain_properties());
+        self.storage.recipe.properties(promises)
+    }
+
+    /// Those of the default formats.
+    fn plain_properties(&self) -> Properties {
         if (self.memory, self.insertion, self.opacity) == ("unbounded", "always", "alpha") {
             return Properties::EXACT;
         }

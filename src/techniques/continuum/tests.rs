@@ -165,6 +165,19 @@ fn refusals_say_why() {
 }
 
 #[test]
+fn formats_of_what_is_stored_elsewhere_are_refused() {
+    for (axes, reason) in [
+        ("layers / always / over_arrival / none / alpha / stored", "\"alpha_compositing\""),
+        ("bins / always / sum / none / alpha / all", "\"opacity_shadow_maps\""),
+        ("bins / always / average / none / alpha / stored", "\"lwboit\""),
+    ] {
+        let inputs = [small(axes), vec![text("format", "f16")]].concat();
+        let message = build("continuum", &row(axes, inputs)).err().unwrap().to_string();
+        assert!(message.contains("a format other than the default") && message.contains(reason), "{message}");
+    }
+}
+
+#[test]
 fn the_default_composition_is_mlab() {
     assert!(resolve_all("continuum", &[], &scene()) == resolve_all("mlab", &[], &scene()));
 }

@@ -122,7 +122,7 @@ fn with_nested_masks_and_room_it_is_screen_door_transparency() {
             layers: 64,
         },
         normalize: Unnormalized,
-        cost: Cost::list(64, 0.0),
+        cost: Cost::list(64, 8.0, 0.0),
         properties: Properties::NONE,
     };
     for n in 1..=64 {
@@ -186,5 +186,5 @@ fn transmittance_is_that_of_the_layers() {
 fn costs_count_bits() {
     let complexity = crate::technique::DepthComplexity { mean: 3.0, max: 9 };
     let bytes = |inputs: &[(&str, Input)]| build("mlcb", inputs).unwrap().cost(&complexity).bytes_per_pixel;
-    assert_eq!([bytes(&masks(4, 32)), bytes(&masks(2, 8)), bytes(&hybrid(4, 4))], [48.0, 18.0, 34.0]);
+    assert_eq!([bytes(&masks(4, 32)), bytes(&masks(2, 8)), bytes(&hybrid(4, 4))], [96.0, 42.0, 82.0]);
 }

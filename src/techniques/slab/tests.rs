@@ -295,9 +295,20 @@ fn costs_are_the_papers() {
         let cost = build("slab", inputs).unwrap().cost(&complexity);
         (cost.geometry_passes, cost.bytes_per_pixel)
     };
-    assert_eq!(cost(&sizes(4, 32)), (2.0, 8.0 * 4.0 + 12.0));
-    assert_eq!(cost(&sizes(4, 96)), (2.0, 16.0 * 4.0 + 12.0));
-    assert_eq!(cost(&with(sizes(4, 32), ALPHA)), (2.0, 44.0));
-    assert_eq!(cost(&with(sizes(4, 32), STORED)), (1.0, 48.0));
-    assert_eq!(cost(&with(with(sizes(4, 32), STORED), ALPHA)), (1.0, 32.0));
+    let half = [("accumulation_format", "f16"), ("revealage_format", "f16")];
+    assert_eq!(cost(&sizes(4, 32)), (2.0, 8.0 * 4.0 + 20.0));
+    assert_eq!(cost(&with(sizes(4, 96), &half)), (2.0, 16.0 * 4.0 + 10.0));
+    assert_eq!(cost(&with(sizes(4, 32), ALPHA)), (2.0, 52.0));
+    assert_eq!(cost(&with(with(sizes(4, 32), ALPHA), &[("format", "f16")])), (2.0, 26.0));
+    let bytes = [("node_color_format", "unorm8")];
+    let stored = with(sizes(4, 32), STORED);
+    assert_eq!(
+        [&[][..], &bytes].map(|formats| cost(&with(stored.clone(), formats))),
+        [(1.0, 96.0), (1.0, 48.0)]
+    );
+    let alpha = with(stored, ALPHA);
+    assert_eq!(
+        [&[][..], &bytes].map(|formats| cost(&with(alpha.clone(), formats))),
+        [(1.0, 80.0), (1.0, 32.0)]
+    );
 }

@@ -243,8 +243,8 @@ fn costs_count_samples() {
         let cost = technique.cost(&complexity);
         (cost.geometry_passes, cost.bytes_per_pixel)
     };
-    assert_eq!([cost("none", "color"), cost("alpha", "color")], [(1.0, 64.0), (2.0, 66.0)]);
-    assert_eq!([cost("none", "depth"), cost("alpha", "depth")], [(2.0, 42.0); 2]);
+    assert_eq!([cost("none", "color"), cost("alpha", "color")], [(1.0, 160.0), (2.0, 164.0)]);
+    assert_eq!([cost("none", "depth"), cost("alpha", "depth")], [(2.0, 52.0); 2]);
 }
 
 #[test]

@@ -168,3 +168,92 @@ fn functions_are_their_compositions() {
         }
     }
 }
+
+/// The same compositions with nodes and sums in other formats. Peeling layers one by one rounds a target after each pass
+/// in place of nodes, so that `depth_peeling` has no twin then.
+#[test]
+fn formats_are_those_of_the_compositions() {
+    let formats = |given: &[(&'static str, &str)]| -> Inputs {
+        given.iter().map(|(name, format)| text(name, format)).collect()
+    };
+    let nodes = [&[("format", "f16")][..], &[("node_color_format", "unorm8"), ("node_depth_format", "bf16")]];
+    let packed = [("node_color_format", "rgb9e5"), ("node_depth_format", "d24")];
+    for given in nodes.into_iter().chain([&packed[..]]).map(formats) {
+        let with = |inputs: Inputs| [inputs, given.clone()].concat();
+        let twins = |axes: &str, sizes: Inputs, id: &str, twin: Inputs| {
+            assert_twins(axes, with(sizes), id, with(twin));
+        };
+        twins("unbounded / always / none / none / alpha / stored", vec![], "a_buffer", vec![]);
+        let one = vec![int("layers", 1)];
+        twins("layers / threshold / discard_furthest / none / alpha / stored", one, "alpha_testing", vec![]);
+        let k = || vec![int("layers", 3)];
+        let list = |merge, normalize| format!("layers / always / {merge} / {normalize} / alpha / stored");
+        let nearest = list("discard_furthest", "none");
+        twins(&nearest, k(), "multilayer_depth_peeling", k());
+        for correction in ["tail", "global"] {
+            let twin = vec![int("layers", 3), text("correction", correction)];
+            twins(&list("discard_furthest", correction), k(), "hybrid_transparency", twin);
+        }
+        for (merge, id) in [("over_nearest", "k_buffer"), ("over_closest", "z3"), ("over_furthest", "mlab")] {
+            twins(&list(merge, "none"), k(), id, k());
+        }
+        let masks = || vec![int("layers", 3), int("bits", 16)];
+        twins("layers / always / over_furthest / none / coverage / stored", masks(), "mlcb", masks());
+        twins(
+            "samples / always / discard_occluded / none / coverage / stored",
+            vec![],
+            "screen_door",
+            vec![int("samples", 8)],
+        );
+        let buckets = [int("layers", 5), text("mode", "bucket")];
+        let bins = "bins / always / discard_occupied / none / alpha / stored";
+        twins(bins, vec![int("bins", 5)], "multilayer_depth_peeling", buckets.to_vec());
+        for (normalize, correction) in [("none", "none"), ("global", "alpha")] {
+            let axes = format!("samples / stochastic / discard_occluded / {normalize} / coverage / stored");
+            twins(&axes, vec![], "stochastic_transparency", vec![text("correction", correction)]);
+        }
+    }
+}
+
+#[test]
+fn second_passes_have_the_formats_of_their_compositions() {
+    for format in ["f16", "bf16", "f64"] {
+        let format = || text("format", format);
+        for (normalize, composite) in [("none", "none"), ("global", "normalize")] {
+            let axes = format!("layers / always / smallest_error / {normalize} / alpha / all");
+            let free = ("protect_front", Input::Bool(false));
+            let twin = vec![int("layers", 3), free, text("composite", composite), format()];
+            assert_twins(&axes, vec![int("layers", 3), format()], "adaptive_transparency", twin);
+        }
+        for (normalize, correction) in [("none", "none"), ("global", "alpha")] {
+            let axes = format!("samples / stochastic / discard_occluded / {normalize} / coverage / all");
+            let twin = vec![text("correction", correction), text("mode", "depth"), format()];
+            assert_twins(&axes, vec![format()], "stochastic_transparency", twin);
+        }
+        for (opacity, variant) in [("alpha", "alpha"), ("coverage", "mask")] {
+            for (correction, accumulate) in
+                [("none", "stored"), ("none", "all"), ("global", "all"), ("tail", "all")]
+            {
+                let axes = format!(
+                    "layers / stochastic / discard_furthest / {correction} / {opacity} / {accumulate}"
+                );
+                let sizes = vec![int("layers", 3), int("bits", 16), format()];
+                let twin = [
+                    text("variant", variant),
+                    text("correction", correction),
+                    text("accumulate", accumulate),
+                    text("replay", "as_is"),
+                ];
+                assert_twins(&axes, sizes.clone(), "slab", [sizes, twin.to_vec()].concat());
+            }
+        }
+        assert_twins(
+            "none / never / none / none / alpha / stored",
+            vec![format()],
+            "weighted_sum",
+            vec![format()],
+        );
+        let weighted = || vec![text("weight", "mb8"), format()];
+        assert_twins("none / never / none / global / alpha / stored", weighted(), "wboit", weighted());
+    }
+}
