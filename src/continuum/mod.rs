@@ -23,5 +23,6 @@ pub mod series;
 pub mod steps;
 pub mod stochastic;
 pub mod stored;
+pub mod stored_oracle;
 pub mod stored_sums;
 pub mod sums;
