@@ -279,4 +279,6 @@ impl<O: StoredOracle> Technique for StoredTwoPass<O> {
 }
 
 #[cfg(test)]
+mod hazards;
+#[cfg(test)]
 mod tests;

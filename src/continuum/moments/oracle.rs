@@ -35,7 +35,7 @@ pub const OVERESTIMATION: ParamSpec = ParamSpec::new(
 pub const MOMENTS: Target = Target {
     name: "moments",
     param: "moments_format",
-    doc: "format of the sums of moments; f16 and bf16 sum them as they are, and lose most of what tells depths apart",
+    doc: "format of the sums of moments; f16 and bf16 sum them as they are, which is not safe below a bias of 1e-2",
     formats: FormatSet::FLOATS,
     channels: 1,
     double: false,
@@ -265,6 +265,9 @@ impl<B: Basis> StoredOracle for MomentOracle<B> {
         vec![(ABSORBANCE.name, 1.0), (MOMENTS.name, self.basis.stored() as f64)]
     }
 }
+
+#[cfg(test)]
+mod stored;
 
 #[cfg(test)]
 mod tests {
