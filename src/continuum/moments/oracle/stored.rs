@@ -39,7 +39,6 @@ impl Stored {
 
 /// The largest error of T̂ that is due to a format, that of 95 % of fragments, and the share of pixels whose bias had to
 /// be raised.
-#[expect(clippy::cast_precision_loss, reason = "some hundred pixels")]
 fn errors(format: &str, count: i64, bias: f64) -> (f64, f64, f64) {
     let (exact, stored) = (Stored::new("f64", count, bias), Stored::new(format, count, bias));
     let (mut far, mut raised) = (Vec::new(), 0.0);
