@@ -6,10 +6,25 @@ import pytest
 import oitlab
 
 STORED = [entry for entry in oitlab.techniques() if any(param.name == "format" for param in entry.params)]
-SUMMED = ["weighted_sum", "weighted_average", "blended_oit", "wboit", "phenomenological", "lwboit", "gs_wsr"]
+BLENDED = ["weighted_sum", "weighted_average", "blended_oit", "wboit", "phenomenological", "lwboit", "gs_wsr"]
+LOOKING = [
+    "opacity_shadow_maps",
+    "deep_opacity_maps",
+    "density_clustering",
+    "occupancy_maps",
+    "fourier_opacity_maps",
+    "tfm",
+    "wavelet",
+    "avsm",
+    "deep_shadow_maps",
+    "mboit_power",
+    "mboit_trig",
+]
+"""Those that see each fragment through a map."""
+SUMMED = [*BLENDED, *LOOKING]
 
 
-def test_blended_techniques_have_formats_and_summation() -> None:
+def test_techniques_that_sum_have_formats_and_summation() -> None:
     assert {entry.id for entry in STORED} >= {*SUMMED, "alpha_compositing", "painter"}
     for name in SUMMED:
         assert "summation" in {param.name for param in oitlab.techniques()[name].params}
@@ -27,9 +42,12 @@ def test_every_format_of_every_target_gives_a_finite_image(
             frame = oitlab.render(small_scene, entry.id, {param.name: chosen})
             assert frame.params[param.name] == chosen
             assert np.isfinite(frame.color).all()
-            # even 8 bits are near on a handful of layers, unless weights are beyond them
+            # even 8 bits are near on a handful of layers, unless weights are beyond them; a map that just misses
+            # something moves a pixel now and then
             if chosen in {"f64", "f32", "f16"}:
-                np.testing.assert_allclose(frame.color, plain.color, atol=0.01)
+                far = np.abs(frame.color - plain.color)
+                assert (far > 0.01).mean() <= (0.02 if entry.id in LOOKING else 0.0)
+                assert far.max() < 0.1
 
 
 def test_an_override_that_changes_nothing_is_the_same_variant(small_scene: oitlab.Scene) -> None:
@@ -46,6 +64,16 @@ def test_an_override_that_changes_nothing_is_the_same_variant(small_scene: oitla
     )
     np.testing.assert_array_equal(half.color, stated.color)
     assert (half.stats.bytes_per_pixel, other.stats.bytes_per_pixel) == (10.0, 9.0)
+
+
+def test_the_bias_of_moments_follows_their_format(small_scene: oitlab.Scene) -> None:
+    def bias(**params: object) -> object:
+        return oitlab.render(small_scene, "mboit_power", params).params["bias"]
+
+    assert [bias(), bias(format="f16"), bias(moments_format="unorm16")] == [5e-7, 6e-5, 6e-5]
+    assert bias(format="f16", bias=0.01) == 0.01
+    with pytest.raises(ValueError, match=r'mboit_power: .*"unorm16" with 6 moments; allowed is unorm16 for 4'):
+        bias(moments=6, moments_format="unorm16")
 
 
 def test_formats_that_make_no_sense_are_refused_by_name(small_scene: oitlab.Scene) -> None:
