@@ -42,8 +42,8 @@ def test_every_format_of_every_target_gives_a_finite_image(
             frame = oitlab.render(small_scene, entry.id, {param.name: chosen})
             assert frame.params[param.name] == chosen
             assert np.isfinite(frame.color).all()
-            # even 8 bits are near on a handful of layers, unless weights are beyond them; a map that just misses
-            # something moves a pixel now and then
+            # even 8 bits are near on a handful of layers, unless weights are beyond them; where a map just misses
+            # something, a pixel is another
             if chosen in {"f64", "f32", "f16"}:
                 far = np.abs(frame.color - plain.color)
                 assert (far > 0.01).mean() <= (0.02 if entry.id in LOOKING else 0.0)
@@ -72,7 +72,9 @@ def test_the_bias_of_moments_follows_their_format(small_scene: oitlab.Scene) -> 
 
     assert [bias(), bias(format="f16"), bias(moments_format="unorm16")] == [5e-7, 6e-5, 6e-5]
     assert bias(format="f16", bias=0.01) == 0.01
-    with pytest.raises(ValueError, match=r'mboit_power: .*"unorm16" with 6 moments; allowed is unorm16 for 4'):
+    with pytest.raises(
+        ValueError, match=r'mboit_power: .*"unorm16" with 6 moments; allowed is unorm16 for 4'
+    ):
         bias(moments=6, moments_format="unorm16")
 
 
