@@ -42,8 +42,8 @@ def test_every_format_of_every_target_gives_a_finite_image(
             frame = oitlab.render(small_scene, entry.id, {param.name: chosen})
             assert frame.params[param.name] == chosen
             assert np.isfinite(frame.color).all()
-            # even 8 bits are near on a handful of layers, unless weights are beyond them; where a map just misses
-            # something, a pixel is another
+            # even 8 bits are near on a handful of layers, unless weights are beyond them; where a map
+            # just misses something, a pixel is another
             if chosen in {"f64", "f32", "f16"}:
                 far = np.abs(frame.color - plain.color)
                 assert (far > 0.01).mean() <= (0.02 if entry.id in LOOKING else 0.0)
