@@ -222,16 +222,23 @@ pub struct ParamSpec {
     pub doc: &'static str,
     /// Whether the parameter acts, given the params before it in the table.
     pub active: fn(&Params) -> bool,
+    /// Whether it comes after the storage formats in the table, so that its default may follow from them.
+    pub after_formats: bool,
 }
 
 impl ParamSpec {
     /// A parameter with a constant default that always acts.
     pub const fn new(name: &'static str, kind: Kind, default: Value, doc: &'static str) -> Self {
-        Self { name, kind, default: Default::Fixed(default), doc, active: |_| true }
+        Self { name, kind, default: Default::Fixed(default), doc, active: |_| true, after_formats: false }
     }
     /// The same parameter, acting only where `active` says so.
     pub const fn when(mut self, active: fn(&Params) -> bool) -> Self {
         self.active = active;
+        self
+    }
+    /// The same parameter, after the storage formats in the table.
+    pub const fn after_formats(mut self) -> Self {
+        self.after_formats = true;
         self
     }
     /// The same parameter with a default that follows from others or from the view.

@@ -1,5 +1,8 @@
 //! Absorbance summed in depth bins: what opacity shadow maps and their kin store.
 
+use crate::format::Format;
+use std::collections::BTreeMap;
+
 /// Up to so many bins there is a place for each; of more, only those that hold something are listed, so that
 /// neither time nor memory depends on their number.
 const PLACES: usize = 4096;
@@ -74,6 +77,23 @@ impl BinnedAbsorbance {
         list.iter_mut().for_each(|(_, bin)| bin.put_behind(total));
     }
 
+    /// The same from sums in a format, of which each addition is rounded.
+    pub fn fill_stored(
+        &mut self,
+        count: usize,
+        format: Format,
+        deposits: impl IntoIterator<Item = (usize, f64)>,
+    ) {
+        let mut sums = BTreeMap::new();
+        for (index, s) in deposits {
+            let sum: &mut f64 = sums.entry(index).or_default();
+            *sum = format.accumulate(*sum, s);
+        }
+        self.clear(count);
+        sums.into_iter().for_each(|(index, sum)| self.add(index, format.read(sum)));
+        self.end();
+    }
+
     /// The absorbance of the bins in front of bin `index`, and its own.
     pub fn at(&self, index: usize) -> (f64, f64) {
         if self.listed {
@@ -132,6 +152,7 @@ fn last_bit_below(words: &[u64], end: usize) -> Option<usize> {
 #[cfg(test)]
 mod tests {
     use super::BinnedAbsorbance;
+    use crate::format::Format;
 
     /// Bins for each of which there is a place, and more.
     const COUNTS: [usize; 3] = [9, 4096, usize::MAX];
@@ -153,6 +174,21 @@ mod tests {
             fill(&mut bins, count, &[]);
             assert_eq!((bins.at(3), bins.total()), ((0.0, 0.0), 0.0));
         }
+    }
+
+    #[test]
+    fn stored_sums_round_each_addition() {
+        let mut bins = BinnedAbsorbance::default();
+        // beside 1 a half keeps 2^-10 but neither of two 2^-12
+        let deposits =
+            [(1, 1.0), (0, 0.5), (1, 2.0_f64.powi(-12)), (1, 2.0_f64.powi(-12)), (1, 2.0_f64.powi(-10))];
+        for (count, format) in COUNTS.into_iter().flat_map(|n| [(n, Format::F16), (n, Format::F64)]) {
+            bins.fill_stored(count, format, deposits);
+            let lost = if format == Format::F16 { 2.0_f64.powi(-11) } else { 0.0 };
+            assert_eq!(bins.at(1), (0.5, 1.0 + 2.0_f64.powi(-10) + 2.0_f64.powi(-11) - lost));
+        }
+        bins.fill_stored(4, Format::F16, [(2, 6e4), (2, 6e4)]);
+        assert_eq!(bins.total(), 65_504.0);
     }
 
     #[test]

@@ -27,6 +27,7 @@ pub mod steps;
 pub mod stochastic;
 pub mod stored;
 pub mod stored_layers;
+pub mod stored_oracle;
 pub mod stored_pass;
 pub mod stored_sums;
 pub mod stored_tail;

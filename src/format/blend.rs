@@ -51,6 +51,14 @@ impl Format {
         if self == Self::F64 { destination + added } else { sum_to_odd(destination, added) }
     }
 
+    /// `sum + x` as additive blending leaves it in a target of one channel. A shader hands the source over in f32; in
+    /// f64 nothing is rounded to less.
+    #[expect(clippy::cast_possible_truncation, reason = "shaders compute in f32")]
+    pub fn accumulate(self, sum: f64, x: f64) -> f64 {
+        let source = if self == Self::F64 { x } else { f64::from(x as f32) };
+        self.round(self.blend(sum, 1.0, source))
+    }
+
     /// What a resolve reads: an infinite number counts as the largest one.
     pub fn read(self, stored: f64) -> f64 {
         if stored.is_infinite() { self.max_finite().copysign(stored) } else { stored }
@@ -71,6 +79,18 @@ mod tests {
         assert_eq!(Format::F16.round(sum_to_odd(-half_way, -tiny)), -1.0 - 2.0_f64.powi(-10));
         assert_eq!(sum_to_odd(1.5, 2.25), 3.75);
         assert_eq!(sum_to_odd(f64::INFINITY, 1.0), f64::INFINITY);
+    }
+
+    /// Sheet 0.2: halves lose all increments below a 2048th of the sum.
+    #[test]
+    fn halves_lose_what_is_below_a_2048th_of_the_sum() {
+        let add = |format: Format, sum, x| format.accumulate(sum, x);
+        assert_eq!([add(Format::F16, 1.0, 1.0 / 2049.0), add(Format::F16, 1.0, 1.0 / 2048.0)], [1.0; 2]);
+        assert_eq!(add(Format::F16, 1.0, 1.0 / 2047.0), 1.0 + 2.0_f64.powi(-10));
+        assert_eq!(add(Format::F32, 1.0, 1.0 / 2048.0), 1.0 + 2.0_f64.powi(-11));
+        // sources are f32 unless the sum is not
+        assert_eq!(add(Format::F32, 0.0, 0.1), f64::from(0.1_f32));
+        assert_eq!(add(Format::F64, 0.5, 0.1), 0.5 + 0.1);
     }
 
     #[test]

@@ -1,8 +1,10 @@
 //! Adaptive volumetric shadow maps (Salvi et al. 2010): a polyline of k nodes, compressed as fragments arrive.
 
-use crate::continuum::oracle::{Composite, Oracle, TwoPass};
+use crate::continuum::oracle::{Composite, Oracle};
 use crate::continuum::polyline::{Label, Vertex, count_in_front, evaluate, evaluate_behind, triangle};
+use crate::continuum::stored_oracle::{NODE_DEPTH, NODES, StoredOracle, technique};
 use crate::error::Result;
+use crate::format::{Format, Formats, SUMMATION, Target};
 use crate::fragments::Fragment;
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties};
@@ -34,31 +36,41 @@ pub static INFO: Info = Info {
             "depth over which a fragment's absorption is spread, behind its surface",
         ),
         Composite::param("none"),
+        SUMMATION,
     ],
-    targets: &[],
+    targets: &TARGETS,
     submission_orders: ANY_ORDER,
     random: false,
     geometry_passes: "2",
-    bytes_per_pixel: "8 layers + 10",
+    bytes_per_pixel: "transmittance and depth per node, 4 sums and R: 8 layers + 20 in f32, 4 layers + 10 in f16",
     build,
 };
 
+static TARGETS: [Target; 4] = [NODES, NODE_DEPTH, Target::ACCUMULATION, Target::REVEALAGE];
+
 fn build(params: &Params, _view: &View) -> Result<Box<dyn AnyTechnique>> {
-    let oracle = Avsm { layers: params.size("layers"), thickness: params.float("thickness") };
-    Ok(Box::new(TwoPass { oracle, composite: Composite::from_params(params) }))
+    let oracle = Avsm {
+        layers: params.size("layers"),
+        thickness: params.float("thickness"),
+        depth: Formats::from_params(&TARGETS, params).of(NODE_DEPTH.name),
+    };
+    Ok(technique(oracle, &TARGETS, params))
 }
 
 /// At most `layers` nodes per pixel.
 struct Avsm {
     layers: usize,
     thickness: f64,
+    /// The format of depths.
+    depth: Format,
 }
 
 impl Avsm {
-    /// Where a fragment ends.
+    /// Where a fragment ends, as a node has it.
     #[expect(clippy::cast_possible_truncation, reason = "depths are f32")]
     fn end(&self, fragment: &Fragment) -> f32 {
-        ((f64::from(fragment.depth) + self.thickness) as f32).min(f32::MAX)
+        let end = self.depth.round(f64::from(fragment.depth) + self.thickness);
+        (self.depth.read(end) as f32).min(f32::MAX)
     }
 
     /// Puts a fragment into the curve: its two faces, what is inside by its own linear ramp, what is behind it by
@@ -82,6 +94,19 @@ impl Avsm {
         nodes.copy_within(last..end - 2, last + 2);
         nodes.copy_within(first..last, first + 1);
         (nodes[first], nodes[last + 1]) = (front, back);
+    }
+}
+
+impl Avsm {
+    /// Inserts fragment by fragment; `write` sees the nodes that each leaves, one too many or two.
+    fn insert_all(&self, pixel: &Pixel<'_>, nodes: &mut Vec<Vertex>, write: impl Fn(&mut [Vertex])) {
+        let mut areas = Vec::with_capacity(self.layers.min(pixel.list.len()) + 2);
+        nodes.clear();
+        for fragment in pixel.list.iter() {
+            self.insert(nodes, &fragment);
+            write(nodes);
+            reduce(nodes, self.layers, &mut areas);
+        }
     }
 }
 
@@ -119,12 +144,7 @@ impl Oracle for Avsm {
     type Map = Vec<Vertex>;
 
     fn build(&self, pixel: &Pixel<'_>, nodes: &mut Vec<Vertex>) {
-        let mut areas = Vec::with_capacity(self.layers.min(pixel.list.len()) + 2);
-        nodes.clear();
-        for fragment in pixel.list.iter() {
-            self.insert(nodes, &fragment);
-            reduce(nodes, self.layers, &mut areas);
-        }
+        self.insert_all(pixel, nodes, |_| ());
     }
 
     fn in_front_of(&self, nodes: &Vec<Vertex>, fragment: &Fragment) -> f64 {
@@ -141,7 +161,7 @@ impl Oracle for Avsm {
 
     #[expect(clippy::cast_precision_loss, reason = "a cost estimate")]
     fn cost(&self, _complexity: &DepthComplexity) -> Cost {
-        Cost { geometry_passes: 2.0, bytes_per_pixel: 8.0 * self.layers as f64 + 10.0 }
+        Cost { geometry_passes: 2.0, bytes_per_pixel: 8.0 * self.layers as f64 + 20.0 }
     }
 
     fn properties(&self, composite: Composite) -> Properties {
@@ -158,10 +178,26 @@ impl Oracle for Avsm {
     }
 }
 
+impl StoredOracle for Avsm {
+    fn build_stored(&self, pixel: &Pixel<'_>, formats: &Formats, nodes: &mut Vec<Vertex>) {
+        let format = formats.of(NODES.name);
+        // one that did not change is rounded already
+        self.insert_all(pixel, nodes, |nodes| {
+            nodes.iter_mut().for_each(|node| node.transmittance = format.round(node.transmittance));
+        });
+    }
+
+    #[expect(clippy::cast_precision_loss, reason = "a cost estimate")]
+    fn texels(&self, _complexity: &DepthComplexity) -> Vec<(&'static str, f64)> {
+        [NODES, NODE_DEPTH].map(|target| (target.name, self.layers as f64)).into()
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::Avsm;
     use crate::continuum::oracle::Oracle;
+    use crate::format::Format;
     use crate::fragments::Fragment;
     use crate::params::Input;
     use crate::techniques::testing::{
@@ -169,8 +205,12 @@ mod tests {
         resolve, three_layers,
     };
 
+    fn avsm(layers: usize, thickness: f64) -> Avsm {
+        Avsm { layers, thickness, depth: Format::F32 }
+    }
+
     fn curve(layers: usize, thickness: f64, fragments: &[Fragment], depths: &[f32]) -> Vec<f64> {
-        let (oracle, mut nodes) = (Avsm { layers, thickness }, Vec::new());
+        let (oracle, mut nodes) = (avsm(layers, thickness), Vec::new());
         as_pixel(fragments, |pixel| oracle.build(pixel, &mut nodes));
         assert!(nodes.len() <= layers && nodes.is_sorted_by(|a, b| a.label <= b.label));
         assert!(nodes.is_sorted_by(|a, b| a.transmittance >= b.transmittance - 1e-15), "{nodes:?}");
@@ -217,7 +257,7 @@ mod tests {
     #[test]
     fn more_nodes_are_closer() {
         let pixels = clear_pixels(200);
-        let errors = [2, 4, 8, 12, 16].map(|layers| mean_error(&Avsm { layers, thickness: 0.0 }, &pixels));
+        let errors = [2, 4, 8, 12, 16].map(|layers| mean_error(&avsm(layers, 0.0), &pixels));
         assert!(errors.is_sorted_by(|a, b| a > b) && errors[4] < 1e-14, "{errors:?}");
     }
 

@@ -1,10 +1,14 @@
 //! Deep opacity maps (Yuksel & Keyser 2008): opacity layers that follow each pixel's first surface.
 
-use crate::continuum::absorbance::{S_MAX, SELF_CORRECT, absorbances, transmittance, transmittances};
+use crate::continuum::absorbance::{
+    S_MAX, SELF_CORRECT, absorbance, absorbances, transmittance, transmittances,
+};
 use crate::continuum::binned::BinnedAbsorbance;
-use crate::continuum::oracle::{CHUNK, Composite, Oracle, TwoPass, chunks, see_one};
+use crate::continuum::oracle::{CHUNK, Composite, Oracle, chunks, see_one};
 use crate::continuum::range::{DepthRange, cell};
+use crate::continuum::stored_oracle::{BINS, StoredOracle, technique};
 use crate::error::Result;
+use crate::format::{Formats, SUMMATION, Target};
 use crate::fragments::{Fragment, List};
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties};
@@ -37,18 +41,18 @@ pub static INFO: Info = Info {
         SELF_CORRECT,
         S_MAX,
         Composite::param("none"),
+        SUMMATION,
     ],
-    targets: &[],
+    targets: &[BINS, Target::ACCUMULATION, Target::REVEALAGE],
     submission_orders: ANY_ORDER,
     random: false,
     geometry_passes: "3",
-    bytes_per_pixel: "4 + 2 bins + 10",
+    bytes_per_pixel: "first depth, bins, 4 sums and R: 4 + 4 bins + 20 in f32, 4 + 2 bins + 10 in f16",
     build,
 };
 
 fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
-    let oracle = DeepOpacityMaps::from_params(params, view);
-    Ok(Box::new(TwoPass { oracle, composite: Composite::from_params(params) }))
+    Ok(technique(DeepOpacityMaps::from_params(params, view), INFO.targets, params))
 }
 
 /// How deep the layers are.
@@ -184,7 +188,7 @@ impl Oracle for DeepOpacityMaps {
 
     #[expect(clippy::cast_precision_loss, reason = "a cost estimate")]
     fn cost(&self, _complexity: &DepthComplexity) -> Cost {
-        Cost { geometry_passes: 3.0, bytes_per_pixel: 14.0 + 2.0 * self.bins as f64 }
+        Cost { geometry_passes: 3.0, bytes_per_pixel: 24.0 + 4.0 * self.bins as f64 }
     }
 
     fn properties(&self, composite: Composite) -> Properties {
@@ -193,6 +197,22 @@ impl Oracle for DeepOpacityMaps {
             consistent: self.spacing == Spacing::Uniform && self.self_correct && self.range_covers_scene,
             ..composite.promises(true)
         }
+    }
+}
+
+impl StoredOracle for DeepOpacityMaps {
+    fn build_stored(&self, pixel: &Pixel<'_>, formats: &Formats, map: &mut Map) {
+        (map.first, map.extent) = self.bounds(pixel.list);
+        let mut layers = std::mem::take(&mut map.layers);
+        let deposits =
+            pixel.list.iter().map(|f| (self.place(map, f.depth).0, absorbance(f.alpha, self.s_max)));
+        layers.fill_stored(self.bins, formats.of(BINS.name), deposits);
+        map.layers = layers;
+    }
+
+    #[expect(clippy::cast_precision_loss, reason = "a cost estimate")]
+    fn texels(&self, _complexity: &DepthComplexity) -> Vec<(&'static str, f64)> {
+        vec![(BINS.name, self.bins as f64)]
     }
 }
 

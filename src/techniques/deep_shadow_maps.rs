@@ -1,8 +1,10 @@
 //! Deep shadow maps (Lokovic & Veach 2000): the exact transmittance curve, compressed to a polyline.
 
-use crate::continuum::oracle::{Composite, Oracle, TwoPass};
+use crate::continuum::oracle::{Composite, Oracle};
 use crate::continuum::polyline::{Label, Vertex, count_in_front, evaluate, evaluate_behind, triangle};
+use crate::continuum::stored_oracle::{NODE_DEPTH, NODES, StoredOracle, technique};
 use crate::error::Result;
+use crate::format::{Formats, SUMMATION, Target};
 use crate::fragments::{Fragment, List};
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties};
@@ -41,12 +43,14 @@ pub static INFO: Info = Info {
         )
         .when(|p| p.size("vertices") == 0),
         Composite::param("none"),
+        SUMMATION,
     ],
-    targets: &[],
+    targets: &TARGETS,
     submission_orders: ANY_ORDER,
     random: false,
     geometry_passes: "2",
-    bytes_per_pixel: "8 vertices; by eps at most 16 n + 4 (n = mean depth complexity)",
+    bytes_per_pixel: "transmittance and depth per vertex, 4 sums and R: 8 vertices + 20 in f32, 4 vertices + 10 in f16; by eps at \
+                      most 2 n vertices and 4 more (n = mean depth complexity)",
     build,
 };
 
@@ -56,9 +60,10 @@ fn build(params: &Params, _view: &View) -> Result<Box<dyn AnyTechnique>> {
         1 => return Err(params.error("parameter \"vertices\" is 1", "allowed is 0 or an integer >= 2")),
         vertices => Compression::To(vertices),
     };
-    let composite = Composite::from_params(params);
-    Ok(Box::new(TwoPass { oracle: DeepShadowMaps { compression }, composite }))
+    Ok(technique(DeepShadowMaps { compression }, &TARGETS, params))
 }
+
+static TARGETS: [Target; 4] = [NODES, NODE_DEPTH, Target::ACCUMULATION, Target::REVEALAGE];
 
 /// When a polyline is short enough.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -255,8 +260,8 @@ impl Oracle for DeepShadowMaps {
     #[expect(clippy::cast_precision_loss, reason = "a cost estimate")]
     fn cost(&self, complexity: &DepthComplexity) -> Cost {
         let bytes_per_pixel = match self.compression {
-            Compression::Within(_) => 16.0 * complexity.mean + 4.0,
-            Compression::To(vertices) => 8.0 * vertices as f64,
+            Compression::Within(_) => 16.0 * complexity.mean + 24.0,
+            Compression::To(vertices) => 8.0 * vertices as f64 + 20.0,
         };
         Cost { geometry_passes: 2.0, bytes_per_pixel }
     }
@@ -276,6 +281,24 @@ impl Oracle for DeepShadowMaps {
             exact_for_one_color: composite == Composite::Normalize,
             exact_coverage: whole,
         }
+    }
+}
+
+impl StoredOracle for DeepShadowMaps {
+    /// Who has sorted a pixel's fragments compresses them, and writes each vertex once.
+    fn build_stored(&self, pixel: &Pixel<'_>, formats: &Formats, map: &mut Map) {
+        let format = formats.of(NODES.name);
+        self.build(pixel, map);
+        map.polyline.iter_mut().for_each(|vertex| vertex.transmittance = format.round(vertex.transmittance));
+    }
+
+    #[expect(clippy::cast_precision_loss, reason = "a cost estimate")]
+    fn texels(&self, complexity: &DepthComplexity) -> Vec<(&'static str, f64)> {
+        let vertices = match self.compression {
+            Compression::Within(_) => 2.0 * complexity.mean,
+            Compression::To(vertices) => vertices as f64,
+        };
+        [NODES, NODE_DEPTH].map(|target| (target.name, vertices)).into()
     }
 }
 

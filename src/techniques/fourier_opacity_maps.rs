@@ -1,10 +1,14 @@
 //! Fourier opacity maps (Jansen & Bavoil 2010): absorbance along the ray as a Fourier series.
 
-use crate::continuum::absorbance::{S_MAX, SELF_CORRECT, absorbances, transmittance, transmittances};
-use crate::continuum::oracle::{CHUNK, Composite, Oracle, TwoPass, chunks, see_one};
+use crate::continuum::absorbance::{
+    S_MAX, SELF_CORRECT, absorbance, absorbances, transmittance, transmittances,
+};
+use crate::continuum::oracle::{CHUNK, Composite, Oracle, chunks, see_one};
 use crate::continuum::range::{DepthRange, Interval};
 use crate::continuum::series::{LANES, Lanes, Rotor, blocks, half_turns, harmonics, project, sum};
+use crate::continuum::stored_oracle::{COEFFICIENTS, StoredOracle, technique};
 use crate::error::Result;
+use crate::format::{Formats, SUMMATION, Target};
 use crate::fragments::{Fragment, List};
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties};
@@ -45,18 +49,18 @@ pub static INFO: Info = Info {
         SELF_CORRECT,
         S_MAX,
         Composite::param("none"),
+        SUMMATION,
     ],
-    targets: &[],
+    targets: &[COEFFICIENTS, Target::ACCUMULATION, Target::REVEALAGE],
     submission_orders: ANY_ORDER,
     random: false,
     geometry_passes: "2",
-    bytes_per_pixel: "2 (2 frequencies + 1) + 10",
+    bytes_per_pixel: "coefficients, 4 sums and R: 4 (2 frequencies + 1) + 20 in f32, 2 (2 frequencies + 1) + 10 in f16",
     build,
 };
 
 fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
-    let oracle = FourierOpacityMaps::from_params(params, view);
-    Ok(Box::new(TwoPass { oracle, composite: Composite::from_params(params) }))
+    Ok(technique(FourierOpacityMaps::from_params(params, view), INFO.targets, params))
 }
 
 /// A Fourier series of absorption over a depth range.
@@ -127,6 +131,13 @@ impl FourierOpacityMaps {
     }
 }
 
+impl FourierOpacityMaps {
+    /// `σ_k/(πk)` for k = 1..=K.
+    fn weights(&self) -> impl Iterator<Item = f64> {
+        self.sigma().zip(half_turns()).map(|(sigma, pi_k)| sigma / pi_k)
+    }
+}
+
 impl Map {
     /// τ(d): the series integrated up to d; rings, also below zero.
     fn tau(&self, d: f64) -> f64 {
@@ -172,13 +183,9 @@ impl Oracle for FourierOpacityMaps {
             let used = part.len().next_multiple_of(LANES);
             project(blocks(&phases[..used]), blocks(&s[..used]), &mut map.sums);
         }
-        let terms = map.sums.iter().zip(self.sigma().zip(half_turns()));
+        let terms = map.sums.iter().zip(self.weights());
         map.harmonics.clear();
-        map.harmonics.extend(terms.map(|((a, b), (sigma, pi_k))| Harmonic {
-            a: sum(a),
-            b: sum(b),
-            weight: sigma / pi_k,
-        }));
+        map.harmonics.extend(terms.map(|((a, b), weight)| Harmonic { a: sum(a), b: sum(b), weight }));
     }
 
     fn in_front_of(&self, map: &Map, fragment: &Fragment) -> f64 {
@@ -207,7 +214,7 @@ impl Oracle for FourierOpacityMaps {
 
     #[expect(clippy::cast_precision_loss, reason = "a cost estimate")]
     fn cost(&self, _complexity: &DepthComplexity) -> Cost {
-        Cost { geometry_passes: 2.0, bytes_per_pixel: 4.0 * self.frequencies as f64 + 12.0 }
+        Cost { geometry_passes: 2.0, bytes_per_pixel: 8.0 * self.frequencies as f64 + 24.0 }
     }
 
     fn properties(&self, composite: Composite) -> Properties {
@@ -215,6 +222,31 @@ impl Oracle for FourierOpacityMaps {
             consistent: self.self_correct && self.margin > 0.0 && self.range_covers_scene,
             ..composite.promises(self.self_correct)
         }
+    }
+}
+
+impl StoredOracle for FourierOpacityMaps {
+    fn build_stored(&self, pixel: &Pixel<'_>, formats: &Formats, map: &mut Map) {
+        let format = formats.of(COEFFICIENTS.name);
+        map.interval = self.range.interval(pixel.list);
+        map.total = 0.0;
+        map.harmonics.clear();
+        map.harmonics.extend(self.weights().map(|weight| Harmonic { a: 0.0, b: 0.0, weight }));
+        for f in pixel.list.iter() {
+            let (s, turns) = (absorbance(f.alpha, self.s_max), self.phase(map.interval.position(f.depth)));
+            map.total = format.accumulate(map.total, s);
+            for (h, (cos, sin)) in map.harmonics.iter_mut().zip(harmonics(2.0 * PI * turns)) {
+                h.a = format.accumulate(h.a, s * cos);
+                h.b = format.accumulate(h.b, s * sin);
+            }
+        }
+        map.total = format.read(map.total);
+        map.harmonics.iter_mut().for_each(|h| (h.a, h.b) = (format.read(h.a), format.read(h.b)));
+    }
+
+    #[expect(clippy::cast_precision_loss, reason = "a cost estimate")]
+    fn texels(&self, _complexity: &DepthComplexity) -> Vec<(&'static str, f64)> {
+        vec![(COEFFICIENTS.name, 2.0 * self.frequencies as f64 + 1.0)]
     }
 }
 

@@ -1,11 +1,14 @@
 //! Moment-based OIT with power moments (Münstermann, Krumpen, Klein & Peters 2018, M18).
 
 use crate::continuum::absorbance::S_MAX;
-use crate::continuum::moments::oracle::{BIAS, OVERESTIMATION, regularization, technique};
+use crate::continuum::moments::oracle::{
+    ABSORBANCE, BIAS, MOMENTS, OVERESTIMATION, regularization, technique, width,
+};
 use crate::continuum::moments::power::Powers;
 use crate::continuum::oracle::Composite;
 use crate::continuum::range::DepthRange;
 use crate::error::Result;
+use crate::format::{Format, SUMMATION, Target};
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{AnyTechnique, Axes, Info};
 use crate::techniques::ANY_ORDER;
@@ -33,24 +36,43 @@ pub static INFO: Info = Info {
             Value::Int(4),
             "powers of depth whose means are stored",
         ),
-        BIAS.derived("5e-7 (4 moments), 5e-6 (6), 5e-5 (8)", |params, _| {
-            Value::Float(Powers::default_bias(params.size("moments")))
+        BIAS.derived("5e-7 (4 moments), 5e-6 (6), 5e-5 (8); in 16 bits 6e-5, 6e-4, 2.5e-3", |params, _| {
+            Value::Float(Powers::default_bias(params.size("moments"), width(params)))
         }),
         OVERESTIMATION,
         DepthRange::param("pixel"),
         S_MAX,
         Composite::param("normalize"),
+        SUMMATION,
     ],
-    targets: &[],
+    targets: &TARGETS,
     submission_orders: ANY_ORDER,
     random: false,
     geometry_passes: "2",
-    bytes_per_pixel: "4 (moments + 1) + 10",
+    bytes_per_pixel: "absorbance, moments, 4 sums and R: 4 (moments + 1) + 20 in f32, 2 (moments + 1) + 10 in f16",
     build,
 };
 
+static TARGETS: [Target; 4] = [
+    ABSORBANCE,
+    Target {
+        doc: "format of the moments: sums in floats, and in unorm16, for 4 moments, transformed mean values, which need \
+              ordered access; sums of 4 or 6 in f16 take a bias of 1e-2 and more to be safe",
+        formats: MOMENTS.formats.and(&[Format::Unorm16]),
+        ..MOMENTS
+    },
+    Target::ACCUMULATION,
+    Target::REVEALAGE,
+];
+
 fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
-    Ok(technique(Powers::new(params.size("moments"), regularization(params)), params, view))
+    let count = params.size("moments");
+    if params.text(MOMENTS.param) == Format::Unorm16.name() && count != 4 {
+        let problem = format!("parameter \"moments_format\" is \"unorm16\" with {count} moments");
+        return Err(params.error(problem, "allowed is unorm16 for 4 moments, whose transform is known"));
+    }
+    let powers = Powers::new(count, regularization(params)).of_width(width(params));
+    Ok(technique(powers, &TARGETS, params, view))
 }
 
 #[cfg(test)]
@@ -92,7 +114,7 @@ mod tests {
     #[test]
     fn bias_and_memory_follow_the_moments() {
         let complexity = crate::technique::DepthComplexity { mean: 3.0, max: 9 };
-        for (moments, bias, bytes) in [(4, 5e-7, 30.0), (6, 5e-6, 38.0), (8, 5e-5, 46.0)] {
+        for (moments, bias, bytes) in [(4, 5e-7, 40.0), (6, 5e-6, 48.0), (8, 5e-5, 56.0)] {
             let inputs = [("moments", Input::Int(moments))];
             assert_eq!(given(&super::INFO, &inputs).value("bias"), Value::Float(bias));
             let cost = build("mboit_power", &inputs).unwrap().cost(&complexity);

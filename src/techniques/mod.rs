@@ -111,7 +111,8 @@ impl Info {
             "picks the shuffle and every random draw",
         );
         let seed = if self.random { seed } else { seed.when(|p| p.text("submission_order") == "shuffled") };
-        self.params.iter().copied().chain(param_specs(self.targets)).chain([order, seed]).collect()
+        let (late, own): (Vec<_>, Vec<_>) = self.params.iter().partition(|spec| spec.after_formats);
+        own.into_iter().chain(param_specs(self.targets)).chain(late).chain([order, seed]).collect()
     }
 }
 

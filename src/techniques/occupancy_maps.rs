@@ -1,10 +1,12 @@
 //! Occupancy maps (Sintorn & Assarsson 2009): one bit per depth slice, and the absorbance of few slabs.
 
-use crate::continuum::absorbance::{S_MAX, absorbances, transmittance, transmittances};
+use crate::continuum::absorbance::{S_MAX, absorbance, absorbances, transmittance, transmittances};
 use crate::continuum::binned::BinnedAbsorbance;
-use crate::continuum::oracle::{CHUNK, Composite, Oracle, TwoPass, chunks, see_one};
+use crate::continuum::oracle::{CHUNK, Composite, Oracle, chunks, see_one};
 use crate::continuum::range::{DepthRange, Interval, cell};
+use crate::continuum::stored_oracle::{StoredOracle, coefficients, technique};
 use crate::error::Result;
+use crate::format::{Formats, SUMMATION, Target};
 use crate::fragments::{Fragment, List};
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties};
@@ -37,14 +39,23 @@ pub static INFO: Info = Info {
         DepthRange::param("pixel"),
         S_MAX,
         Composite::param("none"),
+        SUMMATION,
     ],
-    targets: &[],
+    targets: &[SLABS, Target::ACCUMULATION, Target::REVEALAGE],
     submission_orders: ANY_ORDER,
     random: false,
     geometry_passes: "2, 1 more for range=\"pixel\"",
-    bytes_per_pixel: "bits / 8 + 4 slabs + 10, 8 more for range=\"pixel\"",
+    bytes_per_pixel: "bits, slabs, 4 sums and R: bits / 8 + 4 slabs + 20 in f32, bits / 8 + 2 slabs + 10 in f16, 8 more for \
+                      range=\"pixel\"",
     build,
 };
+
+/// Absorbance of the slabs.
+const SLABS: Target = coefficients(
+    "slabs",
+    "slabs_format",
+    "format of the slabs' absorbance; format=\"f32\" keeps it in f64, \"f32\" here stands for R32F targets",
+);
 
 fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
     let (bits, slabs) = (params.size("bits"), params.size("slabs"));
@@ -58,7 +69,7 @@ fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
         range: DepthRange::from_params(params, view),
         s_max: params.float("s_max"),
     };
-    Ok(Box::new(TwoPass { oracle, composite: Composite::from_params(params) }))
+    Ok(technique(oracle, INFO.targets, params))
 }
 
 /// Bits and slabs of a depth range.
@@ -192,12 +203,31 @@ impl Oracle for OccupancyMaps {
         let range = f64::from(u8::from(self.range == DepthRange::Pixel));
         Cost {
             geometry_passes: 2.0 + range,
-            bytes_per_pixel: self.bits as f64 / 8.0 + 4.0 * self.slabs as f64 + 8.0 * range + 10.0,
+            bytes_per_pixel: self.bits as f64 / 8.0 + 4.0 * self.slabs as f64 + 8.0 * range + 20.0,
         }
     }
 
     fn properties(&self, composite: Composite) -> Properties {
         composite.promises(true)
+    }
+}
+
+impl StoredOracle for OccupancyMaps {
+    fn build_stored(&self, pixel: &Pixel<'_>, formats: &Formats, Map { interval, mask, slabs }: &mut Map) {
+        *interval = self.range.interval(pixel.list);
+        mask.clear(self.bits);
+        let deposits = pixel.list.iter().map(|f| {
+            let bit = self.bit(interval.position(f.depth));
+            mask.insert(bit);
+            (bit / self.slab_size(), absorbance(f.alpha, self.s_max))
+        });
+        slabs.fill_stored(self.slabs, formats.of(SLABS.name), deposits);
+        mask.end();
+    }
+
+    #[expect(clippy::cast_precision_loss, reason = "a cost estimate")]
+    fn texels(&self, _complexity: &DepthComplexity) -> Vec<(&'static str, f64)> {
+        vec![(SLABS.name, self.slabs as f64)]
     }
 }
 

@@ -1,10 +1,14 @@
 //! Opacity shadow maps (Kim & Neumann 2001): absorbance summed in depth bins.
 
-use crate::continuum::absorbance::{S_MAX, SELF_CORRECT, absorbances, transmittance, transmittances};
+use crate::continuum::absorbance::{
+    S_MAX, SELF_CORRECT, absorbance, absorbances, transmittance, transmittances,
+};
 use crate::continuum::binned::BinnedAbsorbance;
-use crate::continuum::oracle::{CHUNK, Composite, Oracle, TwoPass, chunks, see_one};
+use crate::continuum::oracle::{CHUNK, Composite, Oracle, chunks, see_one};
 use crate::continuum::range::{DepthRange, Interval, cell};
+use crate::continuum::stored_oracle::{BINS, StoredOracle, technique};
 use crate::error::Result;
+use crate::format::{Formats, SUMMATION, Target};
 use crate::fragments::{Fragment, List};
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties};
@@ -38,18 +42,18 @@ pub static INFO: Info = Info {
         SELF_CORRECT.when(|p| p.text("interp") == "linear"),
         S_MAX,
         Composite::param("none"),
+        SUMMATION,
     ],
-    targets: &[],
+    targets: &[BINS, Target::ACCUMULATION, Target::REVEALAGE],
     submission_orders: ANY_ORDER,
     random: false,
     geometry_passes: "2",
-    bytes_per_pixel: "2 bins + 10",
+    bytes_per_pixel: "bins, 4 sums and R: 4 bins + 20 in f32, 2 bins + 10 in f16",
     build,
 };
 
 fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
-    let oracle = OpacityShadowMaps::from_params(params, view);
-    Ok(Box::new(TwoPass { oracle, composite: Composite::from_params(params) }))
+    Ok(technique(OpacityShadowMaps::from_params(params, view), INFO.targets, params))
 }
 
 /// What of its own bin hides a fragment.
@@ -152,7 +156,7 @@ impl Oracle for OpacityShadowMaps {
 
     #[expect(clippy::cast_precision_loss, reason = "a cost estimate")]
     fn cost(&self, _complexity: &DepthComplexity) -> Cost {
-        Cost { geometry_passes: 2.0, bytes_per_pixel: 2.0 * self.bins as f64 + 10.0 }
+        Cost { geometry_passes: 2.0, bytes_per_pixel: 4.0 * self.bins as f64 + 20.0 }
     }
 
     fn properties(&self, composite: Composite) -> Properties {
@@ -162,6 +166,22 @@ impl Oracle for OpacityShadowMaps {
             // the nearest fragment of a pixel's own range lies at the near edge of bin 0
             ..composite.promises(uncharged || self.range == DepthRange::Pixel)
         }
+    }
+}
+
+impl StoredOracle for OpacityShadowMaps {
+    fn build_stored(&self, pixel: &Pixel<'_>, formats: &Formats, Map { interval, bins }: &mut Map) {
+        *interval = self.range.interval(pixel.list);
+        let deposits = pixel
+            .list
+            .iter()
+            .map(|f| (self.place(interval.position(f.depth)).0, absorbance(f.alpha, self.s_max)));
+        bins.fill_stored(self.bins, formats.of(BINS.name), deposits);
+    }
+
+    #[expect(clippy::cast_precision_loss, reason = "a cost estimate")]
+    fn texels(&self, _complexity: &DepthComplexity) -> Vec<(&'static str, f64)> {
+        vec![(BINS.name, self.bins as f64)]
     }
 }
 

@@ -1,11 +1,15 @@
 //! Transmittance function maps (Delalandre et al. 2011) and extinction transmittance maps (Gautron et al. 2011):
 //! a cosine series of transmittance, or of extinction, which adds up in any order.
 
-use crate::continuum::absorbance::{S_MAX, SELF_CORRECT, absorbances, transmittance, transmittances};
-use crate::continuum::oracle::{CHUNK, Composite, Oracle, TwoPass, chunks, see_one};
+use crate::continuum::absorbance::{
+    S_MAX, SELF_CORRECT, absorbance, absorbances, transmittance, transmittances,
+};
+use crate::continuum::oracle::{CHUNK, Composite, Oracle, chunks, see_one};
 use crate::continuum::range::{DepthRange, Interval};
 use crate::continuum::series::{LANES, Lanes, Rotor, blocks, half_turns, harmonics, project, sum};
+use crate::continuum::stored_oracle::{COEFFICIENTS, StoredOracle, technique};
 use crate::error::Result;
+use crate::format::{Format, Formats, SUMMATION, Target};
 use crate::fragments::{Fragment, List};
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties};
@@ -41,12 +45,13 @@ pub static INFO: Info = Info {
         SELF_CORRECT.when(is_extinction),
         S_MAX.when(is_extinction),
         Composite::param("none"),
+        SUMMATION,
     ],
-    targets: &[],
+    targets: &[COEFFICIENTS, Target::ACCUMULATION, Target::REVEALAGE],
     submission_orders: ANY_ORDER,
     random: false,
     geometry_passes: "2",
-    bytes_per_pixel: "2 (frequencies + 1) + 10",
+    bytes_per_pixel: "coefficients, 4 sums and R: 4 (frequencies + 1) + 20 in f32, 2 (frequencies + 1) + 10 in f16",
     build,
 };
 
@@ -55,11 +60,10 @@ fn is_extinction(params: &Params) -> bool {
 }
 
 fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
-    let composite = Composite::from_params(params);
     Ok(if is_extinction(params) {
-        Box::new(TwoPass { oracle: Extinction::from_params(params, view), composite })
+        technique(Extinction::from_params(params, view), INFO.targets, params)
     } else {
-        Box::new(TwoPass { oracle: Curve::from_params(params, view), composite })
+        technique(Curve::from_params(params, view), INFO.targets, params)
     })
 }
 
@@ -93,6 +97,12 @@ impl Map {
         let mut phases = [0.0; CHUNK];
         self.phases(depth, &mut phases);
         project(blocks(&phases[..depth.len().next_multiple_of(LANES)]), blocks(s), &mut self.sums);
+    }
+
+    /// Replaces every coefficient.
+    fn each(&mut self, replace: impl Fn(f64) -> f64) {
+        self.mean = replace(self.mean);
+        self.cosines.iter_mut().for_each(|c| *c = replace(*c));
     }
 
     /// `c_0 + Σ c_k cos(πk d)`.
@@ -150,8 +160,13 @@ fn series_values(mean: f64, cosines: &[f64], phases: &[Lanes], values: &mut [Lan
 }
 
 #[expect(clippy::cast_precision_loss, reason = "a cost estimate")]
+fn texels(frequencies: usize) -> Vec<(&'static str, f64)> {
+    vec![(COEFFICIENTS.name, frequencies as f64 + 1.0)]
+}
+
+#[expect(clippy::cast_precision_loss, reason = "a cost estimate")]
 fn cost(frequencies: usize) -> Cost {
-    Cost { geometry_passes: 2.0, bytes_per_pixel: 2.0 * (frequencies as f64 + 1.0) + 10.0 }
+    Cost { geometry_passes: 2.0, bytes_per_pixel: 4.0 * (frequencies as f64 + 1.0) + 20.0 }
 }
 
 /// A cosine series of extinction.
@@ -227,6 +242,27 @@ impl Oracle for Extinction {
     }
 }
 
+impl StoredOracle for Extinction {
+    fn build_stored(&self, pixel: &Pixel<'_>, formats: &Formats, map: &mut Map) {
+        let format = formats.of(COEFFICIENTS.name);
+        (map.interval, map.mean) = (self.range.interval(pixel.list), 0.0);
+        map.cosines.clear();
+        map.cosines.resize(self.frequencies, 0.0);
+        for f in pixel.list.iter() {
+            let (s, d) = (absorbance(f.alpha, self.s_max), map.interval.position(f.depth));
+            map.mean = format.accumulate(map.mean, s);
+            for (c, (cos, _)) in map.cosines.iter_mut().zip(harmonics(PI * d)) {
+                *c = format.accumulate(*c, s * cos);
+            }
+        }
+        map.each(|c| format.read(c));
+    }
+
+    fn texels(&self, _complexity: &DepthComplexity) -> Vec<(&'static str, f64)> {
+        texels(self.frequencies)
+    }
+}
+
 /// A cosine series of transmittance.
 struct Curve {
     frequencies: usize,
@@ -291,6 +327,19 @@ impl Oracle for Curve {
 
     fn properties(&self, composite: Composite) -> Properties {
         composite.promises(false)
+    }
+}
+
+impl StoredOracle for Curve {
+    /// Who has sorted a pixel's fragments projects them all, and writes each coefficient once.
+    fn build_stored(&self, pixel: &Pixel<'_>, formats: &Formats, map: &mut Map) {
+        let format: Format = formats.of(COEFFICIENTS.name);
+        self.build(pixel, map);
+        map.each(|c| format.read(format.round(c)));
+    }
+
+    fn texels(&self, _complexity: &DepthComplexity) -> Vec<(&'static str, f64)> {
+        texels(self.frequencies)
     }
 }
 

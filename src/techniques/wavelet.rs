@@ -1,9 +1,13 @@
 //! Wavelet transparency (Aizenshtein, Smal & `McGuire` 2022): absorbance along the ray in the Haar basis.
 
-use crate::continuum::absorbance::{S_MAX, SELF_CORRECT, absorbances, transmittance, transmittances};
-use crate::continuum::oracle::{CHUNK, Composite, Oracle, TwoPass, chunks, see_one};
+use crate::continuum::absorbance::{
+    S_MAX, SELF_CORRECT, absorbance, absorbances, transmittance, transmittances,
+};
+use crate::continuum::oracle::{CHUNK, Composite, Oracle, chunks, see_one};
 use crate::continuum::range::{DepthRange, Interval, cell};
+use crate::continuum::stored_oracle::{COEFFICIENTS, StoredOracle, technique};
 use crate::error::Result;
+use crate::format::{Formats, SUMMATION, Target};
 use crate::fragments::{Fragment, List};
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties};
@@ -39,18 +43,19 @@ pub static INFO: Info = Info {
         SELF_CORRECT,
         S_MAX,
         Composite::param("normalize"),
+        SUMMATION,
     ],
-    targets: &[],
+    targets: &[COEFFICIENTS, Target::ACCUMULATION, Target::REVEALAGE],
     submission_orders: ANY_ORDER,
     random: false,
     geometry_passes: "2, 1 more for range=\"pixel\"",
-    bytes_per_pixel: "2 * 2^(rank + 1) + 10, 8 more for range=\"pixel\"",
+    bytes_per_pixel: "coefficients, 4 sums and R: 4 * 2^(rank + 1) + 20 in f32, 2 * 2^(rank + 1) + 10 in f16, 8 more for \
+                      range=\"pixel\"",
     build,
 };
 
 fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
-    let oracle = Wavelet::from_params(params, view);
-    Ok(Box::new(TwoPass { oracle, composite: Composite::from_params(params) }))
+    Ok(technique(Wavelet::from_params(params, view), INFO.targets, params))
 }
 
 /// Haar coefficients of a depth range.
@@ -130,16 +135,23 @@ impl Wavelet {
         cell(position * last / (last + 1.0), self.leaves())
     }
 
-    /// Adds a step of height `s` at this place: to the scale and to the node of each level above the leaf.
+    /// Adds a step of height `s` at this place, by `sum` of what is there and of what is added: to the scale and to the
+    /// node of each level above the leaf.
     #[expect(clippy::cast_precision_loss, reason = "at most 2^11 leaves")]
-    fn write(&self, coefficients: &mut [f64], (leaf, fraction): (usize, f64), s: f64) {
+    fn write(
+        &self,
+        coefficients: &mut [f64],
+        (leaf, fraction): (usize, f64),
+        s: f64,
+        sum: impl Fn(f64, f64) -> f64,
+    ) {
         let leaves = self.leaves();
         let x = (leaf as f64 + fraction) / leaves as f64;
-        coefficients[0] += s * (1.0 - x);
+        coefficients[0] = sum(coefficients[0], s * (1.0 - x));
         let (mut node, mut width) = ((leaves + leaf) >> 1, 2.0 / leaves as f64);
         for height in HEIGHTS[..self.levels].iter().rev() {
             let inside = x - (node as f64 * width - 1.0);
-            coefficients[node] += s * height * inside.min(width - inside);
+            coefficients[node] = sum(coefficients[node], s * height * inside.min(width - inside));
             (node, width) = (node / 2, 2.0 * width);
         }
     }
@@ -163,7 +175,7 @@ impl Oracle for Wavelet {
             map.interval.positions(part.depth, &mut positions);
             absorbances(part.alpha, self.s_max, &mut s);
             for (&position, &s) in positions.iter().zip(&s).take(part.len()) {
-                self.write(&mut map.coefficients, self.place(position), s);
+                self.write(&mut map.coefficients, self.place(position), s, |sum, x| sum + x);
             }
         }
         map.synthesize();
@@ -200,7 +212,7 @@ impl Oracle for Wavelet {
         let range = f64::from(u8::from(self.range == DepthRange::Pixel));
         Cost {
             geometry_passes: 2.0 + range,
-            bytes_per_pixel: 2.0 * self.leaves() as f64 + 8.0 * range + 10.0,
+            bytes_per_pixel: 4.0 * self.leaves() as f64 + 8.0 * range + 20.0,
         }
     }
 
@@ -209,6 +221,26 @@ impl Oracle for Wavelet {
             consistent: self.self_correct && self.range_covers_scene,
             ..composite.promises(self.self_correct || self.range == DepthRange::Pixel)
         }
+    }
+}
+
+impl StoredOracle for Wavelet {
+    fn build_stored(&self, pixel: &Pixel<'_>, formats: &Formats, map: &mut Map) {
+        let format = formats.of(COEFFICIENTS.name);
+        map.interval = self.range.interval(pixel.list);
+        map.coefficients.clear();
+        map.coefficients.resize(self.leaves(), 0.0);
+        for f in pixel.list.iter() {
+            let (place, s) = (self.place(map.interval.position(f.depth)), absorbance(f.alpha, self.s_max));
+            self.write(&mut map.coefficients, place, s, |sum, x| format.accumulate(sum, x));
+        }
+        map.coefficients.iter_mut().for_each(|c| *c = format.read(*c));
+        map.synthesize();
+    }
+
+    #[expect(clippy::cast_precision_loss, reason = "at most 2^11 leaves")]
+    fn texels(&self, _complexity: &DepthComplexity) -> Vec<(&'static str, f64)> {
+        vec![(COEFFICIENTS.name, self.leaves() as f64)]
     }
 }
 

@@ -13,6 +13,7 @@ pub mod linear;
 pub mod oracle;
 pub mod polynomial;
 pub mod power;
+pub mod quantized;
 pub mod roots;
 pub mod trigonometric;
 
@@ -48,6 +49,15 @@ pub trait Basis: Send + Sync + 'static {
     }
 }
 
+/// How wide the numbers are that moments are stored in: M18 has a bias, and what to mix in, for each.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Width {
+    /// 32 bits and more.
+    Single,
+    /// 16 bits.
+    Half,
+}
+
 /// How moments are kept away from the border of what moments can be, where rounding decides.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Regularization {
@@ -75,7 +85,8 @@ impl Regularization {
         let mut bias = self.bias.min(1.0);
         let mut retries = 0;
         loop {
-            let guard = 0.5 * self.precision;
+            // nothing is left of the moments at bias 1, and what is mixed in is exact
+            let guard = if bias < 1.0 { 0.5 * self.precision } else { 0.0 };
             if let Some(ldl) = Ldl::factor(size, |i, j| entry(bias, i, j), guard) {
                 return Factored { ldl, bias, retries };
             }

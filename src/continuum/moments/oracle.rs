@@ -1,10 +1,13 @@
 //! Moments as a transmittance function: what the techniques of both bases share.
 
-use super::{Basis, MAX_STORED, Regularization};
-use crate::continuum::absorbance::{absorbances, transmittance, transmittances};
+use super::quantized::{self, Quantized};
+use super::{Basis, MAX_STORED, Regularization, Width};
+use crate::continuum::absorbance::{absorbance, absorbances, transmittance, transmittances};
 use crate::continuum::functions::ln;
-use crate::continuum::oracle::{CHUNK, Composite, Oracle, TwoPass, chunks, see_one};
+use crate::continuum::oracle::{CHUNK, Composite, Oracle, chunks, see_one};
 use crate::continuum::range::DepthRange;
+use crate::continuum::stored_oracle::{self, StoredOracle};
+use crate::format::{Format, FormatSet, Formats, Target};
 use crate::fragments::{Fragment, List};
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{AnyTechnique, Cost, DepthComplexity, Pixel, Properties};
@@ -17,7 +20,8 @@ pub const BIAS: ParamSpec = ParamSpec::new(
     Value::None,
     "share of the moments that is replaced by those of spread out mass, against rounding; 1 and more replace \
      all",
-);
+)
+.after_formats();
 
 /// The param `overestimation`.
 pub const OVERESTIMATION: ParamSpec = ParamSpec::new(
@@ -27,18 +31,60 @@ pub const OVERESTIMATION: ParamSpec = ParamSpec::new(
     "where between its lower bound (0) and its upper (1) the absorbance in front of a depth is taken",
 );
 
+/// The sums of moments.
+pub const MOMENTS: Target = Target {
+    name: "moments",
+    param: "moments_format",
+    doc: "format of the sums of moments; f16 and bf16 sum them as they are, which is not safe below a bias of 1e-2",
+    formats: FormatSet::FLOATS,
+    channels: 1,
+    double: false,
+    active: |_| true,
+};
+
+/// Total absorbance.
+pub const ABSORBANCE: Target = Target {
+    name: "absorbance",
+    param: "absorbance_format",
+    doc: "format of the total absorbance",
+    ..MOMENTS
+};
+
 /// Pixels of less absorbance count as empty (M18's code): their moments are made of rounding.
 const EMPTY: f32 = 1.0005e-3;
 
-/// What the param `bias` asks for; moments are summed in single precision.
+/// The formats of absorbance and of moments.
+fn formats(params: &Params) -> [Format; 2] {
+    let of = |target: Target| {
+        let name = params.text(target.param);
+        Format::from_name(name).unwrap_or_else(|| unreachable!("{name:?} was checked"))
+    };
+    [of(ABSORBANCE), of(MOMENTS)]
+}
+
+/// How wide what is stored is.
+pub fn width(params: &Params) -> Width {
+    let wide = |format| matches!(format, Format::F64 | Format::F32);
+    if formats(params).into_iter().all(wide) { Width::Single } else { Width::Half }
+}
+
+/// What the param `bias` asks for, and the precision of the coarser format.
 pub fn regularization(params: &Params) -> Regularization {
-    Regularization { bias: params.float("bias"), precision: f32::EPSILON.into() }
+    let precision = |format: Format| 2.0 * format.unit_roundoff();
+    let [absorbance, moments] = formats(params).map(precision);
+    // mean values are not divided by it
+    let absorbance = if formats(params)[1].is_normalized() { 0.0 } else { absorbance };
+    Regularization { bias: params.float("bias"), precision: moments.max(absorbance) }
 }
 
 /// The technique of these params over a basis.
-pub fn technique<B: Basis>(basis: B, params: &Params, view: &View) -> Box<dyn AnyTechnique> {
-    let oracle = MomentOracle::new(basis, params, view);
-    Box::new(TwoPass { oracle, composite: Composite::from_params(params) })
+pub fn technique<B: Basis>(
+    basis: B,
+    targets: &'static [Target],
+    params: &Params,
+    view: &View,
+) -> Box<dyn AnyTechnique> {
+    stored_oracle::technique(MomentOracle::new(basis, params, view), targets, params)
 }
 
 /// A transmittance function by its moments.
@@ -99,7 +145,7 @@ fn positions_on(warp: Warp, depth: &[f32], positions: &mut [f64]) {
 #[derive(Debug, Default)]
 pub struct Map<M> {
     warp: Warp,
-    total: f32,
+    total: f64,
     /// None where the pixel counts as empty.
     moments: Option<M>,
 }
@@ -129,6 +175,19 @@ impl<B: Basis> MomentOracle<B> {
         }
         (total, sums)
     }
+
+    /// Makes the map ready to be asked, given total absorbance and the mean values that follow.
+    fn prepare(&self, map: &mut Map<B::Moments>, total: f64, means: impl FnOnce(f64) -> [f64; MAX_STORED]) {
+        map.total = total;
+        map.moments = (total >= EMPTY.into()).then(|| self.basis.prepare(&means(total)));
+    }
+
+    /// Hands over each fragment's absorbance and basis functions.
+    fn add_each(&self, warp: Warp, list: List<'_>, mut add: impl FnMut(f64, [f64; MAX_STORED])) {
+        for f in list.iter() {
+            add(absorbance(f.alpha, self.s_max), self.basis.functions(warp.position(f.depth)));
+        }
+    }
 }
 
 impl<B: Basis> Oracle for MomentOracle<B> {
@@ -137,9 +196,7 @@ impl<B: Basis> Oracle for MomentOracle<B> {
     fn build(&self, pixel: &Pixel<'_>, map: &mut Self::Map) {
         map.warp = Warp::new(self.range.bounds(pixel.list));
         let (total, sums) = self.sum(&map.warp, pixel.list);
-        map.total = total;
-        map.moments =
-            (total >= EMPTY).then(|| self.basis.prepare(&sums.map(|sum| f64::from(sum) / f64::from(total))));
+        self.prepare(map, total.into(), |total| sums.map(|sum| f64::from(sum) / total));
     }
 
     fn in_front_of(&self, map: &Self::Map, fragment: &Fragment) -> f64 {
@@ -152,23 +209,23 @@ impl<B: Basis> Oracle for MomentOracle<B> {
         let d = &mut d[..list.len()];
         map.warp.positions(list.depth, d);
         self.basis.shares_in_front(moments, d, self.overestimation, seen);
-        seen.iter_mut().for_each(|share| *share *= f64::from(map.total));
+        seen.iter_mut().for_each(|share| *share *= map.total);
         transmittances(seen);
     }
 
     fn at(&self, map: &Self::Map, depth: f32) -> f64 {
         let Some(moments) = &map.moments else { return 1.0 };
         let share = self.basis.in_front(moments, map.warp.position(depth), self.overestimation);
-        transmittance(f64::from(map.total) * share)
+        transmittance(map.total * share)
     }
 
     fn total(&self, map: &Self::Map) -> f64 {
-        if map.moments.is_some() { transmittance(map.total.into()) } else { 1.0 }
+        if map.moments.is_some() { transmittance(map.total) } else { 1.0 }
     }
 
     #[expect(clippy::cast_precision_loss, reason = "a handful of targets")]
     fn cost(&self, _complexity: &DepthComplexity) -> Cost {
-        Cost { geometry_passes: 2.0, bytes_per_pixel: 4.0 * (self.basis.stored() + 1) as f64 + 10.0 }
+        Cost { geometry_passes: 2.0, bytes_per_pixel: 4.0 * (self.basis.stored() + 1) as f64 + 20.0 }
     }
 
     /// Eight moments are the most there are, so no size makes the error vanish.
@@ -176,6 +233,41 @@ impl<B: Basis> Oracle for MomentOracle<B> {
         composite.promises(false)
     }
 }
+
+impl<B: Basis> StoredOracle for MomentOracle<B> {
+    /// Sums, or the mean values of [`Quantized`].
+    fn build_stored(&self, pixel: &Pixel<'_>, formats: &Formats, map: &mut Self::Map) {
+        let [absorbance, moments] = [ABSORBANCE, MOMENTS].map(|target| formats.of(target.name));
+        map.warp = Warp::new(self.range.bounds(pixel.list));
+        if moments.is_normalized() {
+            let mut stored = Quantized::new(absorbance);
+            self.add_each(map.warp, pixel.list, |s, functions| {
+                stored.add(s, std::array::from_fn(|k| functions[k]));
+            });
+            return self.prepare(map, stored.total(), |_| {
+                let mut means = [0.0; MAX_STORED];
+                means[..quantized::COUNT].copy_from_slice(&stored.means());
+                means
+            });
+        }
+        let (mut total, mut sums) = (0.0, [0.0; MAX_STORED]);
+        self.add_each(map.warp, pixel.list, |s, functions| {
+            total = absorbance.accumulate(total, s);
+            for (sum, function) in sums.iter_mut().zip(functions).take(self.basis.stored()) {
+                *sum = moments.accumulate(*sum, s * function);
+            }
+        });
+        self.prepare(map, absorbance.read(total), |total| sums.map(|sum| moments.read(sum) / total));
+    }
+
+    #[expect(clippy::cast_precision_loss, reason = "a handful of targets")]
+    fn texels(&self, _complexity: &DepthComplexity) -> Vec<(&'static str, f64)> {
+        vec![(ABSORBANCE.name, 1.0), (MOMENTS.name, self.basis.stored() as f64)]
+    }
+}
+
+#[cfg(test)]
+mod stored;
 
 #[cfg(test)]
 mod tests {

@@ -3,7 +3,7 @@
 use super::linear::{Ldl, MAX_SIZE};
 use super::polynomial::{MAX_DEGREE, interpolate, real_roots, shifted};
 use super::roots::{BLOCK, in_whole_blocks, real_roots_of_monic};
-use super::{Basis, MAX_STORED, Regularization};
+use super::{Basis, MAX_STORED, Regularization, Width};
 use multiversion::multiversion;
 
 /// Moments that single precision ones are biased towards (M18's fp32 table). Odd ones are 0.
@@ -11,6 +11,13 @@ const SPREAD: [[f64; MAX_STORED]; 3] = [
     [0.0, 0.375, 0.0, 0.375, 0.0, 0.0, 0.0, 0.0],
     [0.0, 0.48, 0.0, 0.451, 0.0, 0.45, 0.0, 0.0],
     [0.0, 0.75, 0.0, 0.676_667, 0.0, 0.63, 0.0, 0.600_303],
+];
+
+/// The same for numbers of 16 bits (M18).
+const SPREAD_HALF: [[f64; MAX_STORED]; 3] = [
+    [0.0, 0.628, 0.0, 0.628, 0.0, 0.0, 0.0, 0.0],
+    [0.0, 0.5566, 0.0, 0.489, 0.0, 0.478_694, 0.0, 0.0],
+    [0.0, 0.424_749, 0.0, 0.224_078, 0.0, 0.153_692, 0.0, 0.129_004],
 ];
 
 /// Roots farther away than this, in half ranges, are left out: as the moments are at most 1, their share of
@@ -23,6 +30,8 @@ pub struct Powers {
     /// Half of m: the number of points of mass beside the one at d.
     points: usize,
     regularization: Regularization,
+    /// The moments that are mixed in.
+    spread: [f64; MAX_STORED],
 }
 
 /// A pixel's power moments with their Hankel matrix factored.
@@ -39,22 +48,31 @@ impl Powers {
     /// Of m = 4, 6 or 8 moments.
     pub fn new(count: usize, regularization: Regularization) -> Self {
         assert!(matches!(count, 4 | 6 | 8), "{count} power moments");
-        Self { points: count / 2, regularization }
+        let points = count / 2;
+        Self { points, regularization, spread: SPREAD[points - 2] }
     }
 
-    /// The bias that single precision asks for (M18).
-    pub fn default_bias(count: usize) -> f64 {
-        match count {
-            4 => 5e-7,
-            6 => 5e-6,
-            _ => 5e-5,
+    /// The same, biased towards what M18 recommends for moments of that width.
+    pub fn of_width(self, width: Width) -> Self {
+        let spread = if width == Width::Half { SPREAD_HALF } else { SPREAD };
+        Self { spread: spread[self.points - 2], ..self }
+    }
+
+    /// The bias that moments of that width ask for (M18).
+    pub fn default_bias(count: usize, width: Width) -> f64 {
+        match (count, width) {
+            (4, Width::Single) => 5e-7,
+            (6, Width::Single) => 5e-6,
+            (_, Width::Single) => 5e-5,
+            (4, Width::Half) => 6e-5,
+            (6, Width::Half) => 6e-4,
+            (_, Width::Half) => 2.5e-3,
         }
     }
 
     /// Moment k of the mixture with the spread out distribution.
     fn biased(&self, means: &[f64; MAX_STORED], bias: f64, k: usize) -> f64 {
-        let spread = &SPREAD[self.points - 2];
-        if k == 0 { 1.0 } else { (1.0 - bias) * means[k - 1] + bias * spread[k - 1] }
+        if k == 0 { 1.0 } else { (1.0 - bias) * means[k - 1] + bias * self.spread[k - 1] }
     }
 }
 

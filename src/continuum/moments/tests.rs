@@ -4,7 +4,8 @@
 use super::linear::{Complex, Scalar};
 use super::power::Powers;
 use super::trigonometric::Harmonics;
-use super::{Basis, MAX_STORED, Regularization};
+use super::{Basis, MAX_STORED, Regularization, Width};
+use crate::format::Format;
 use crate::techniques::testing::Random;
 use std::f64::consts::{PI, TAU};
 
@@ -139,6 +140,22 @@ fn mass_that_wrapped_round_is_in_front() {
     assert!((behind_both - (0.5 + 0.5 * 0.75)).abs() < 1e-4, "{behind_both}");
 }
 
+/// What is mixed in is sound by itself, even for the coarsest sums.
+#[test]
+fn bias_alone_is_sound_in_every_format() {
+    let bf16 = Regularization { bias: 1.0, precision: 2.0 * Format::Bf16.unit_roundoff() };
+    for width in [Width::Single, Width::Half] {
+        for count in [4, 6, 8] {
+            let powers = Powers::new(count, bf16).of_width(width);
+            assert_eq!(powers.prepare(&[1.0; MAX_STORED]).retries, 0, "{count} {width:?}");
+        }
+    }
+    for count in [2, 3, 4] {
+        let harmonics = Harmonics::new(count, WRAPPING_ZONE, bf16);
+        assert_eq!(harmonics.prepare(&[1.0; MAX_STORED]).retries, 0);
+    }
+}
+
 #[test]
 fn the_bias_is_raised_until_the_matrix_is_sound() {
     // one point: rank 1
@@ -203,7 +220,7 @@ fn assert_conforms<B: Basis>(
 #[test]
 fn powers_conform_with_gauss_radau_quadrature() {
     for count in [4, 6, 8] {
-        let bias = Powers::default_bias(count);
+        let bias = Powers::default_bias(count, Width::Single);
         let single = Regularization { bias, precision: f32::EPSILON.into() };
         let reference = |means: &_, d, beta| gauss_radau(means, count, bias, d, beta);
         assert_conforms(&Powers::new(count, single), reference, |m| m.retries);
@@ -213,7 +230,7 @@ fn powers_conform_with_gauss_radau_quadrature() {
 #[test]
 fn harmonics_conform_with_szego_quadrature() {
     for count in [2, 3, 4] {
-        let bias = Harmonics::default_bias(count);
+        let bias = Harmonics::default_bias(count, Width::Single);
         let single = Regularization { bias, precision: f32::EPSILON.into() };
         let reference = |means: &_, d, beta| szego(means, count, bias, d, beta);
         assert_conforms(&Harmonics::new(count, WRAPPING_ZONE, single), reference, |m| m.retries);

@@ -4,7 +4,7 @@
 use super::linear::{Complex, Ldl, MAX_SIZE, Scalar};
 use super::polynomial::{MAX_DEGREE, interpolate};
 use super::roots::{BLOCK, Column, Columns, in_whole_blocks, real_roots_of_monic};
-use super::{Basis, MAX_STORED, Regularization};
+use super::{Basis, MAX_STORED, Regularization, Width};
 use crate::continuum::functions::sin_cos_of_turns;
 use crate::continuum::oracle::CHUNK;
 use multiversion::multiversion;
@@ -39,12 +39,15 @@ impl Harmonics {
         Self { count, wrapping_zone, regularization, cayley: cayley(count) }
     }
 
-    /// The bias that single precision asks for (M18).
-    pub fn default_bias(count: usize) -> f64 {
-        match count {
-            2 => 4e-7,
-            3 => 8e-7,
-            _ => 1.5e-6,
+    /// The bias that moments of that width ask for (M18).
+    pub fn default_bias(count: usize, width: Width) -> f64 {
+        match (count, width) {
+            (2, Width::Single) => 4e-7,
+            (3, Width::Single) => 8e-7,
+            (_, Width::Single) => 1.5e-6,
+            (2, Width::Half) => 4e-4,
+            (3, Width::Half) => 6.5e-4,
+            (_, Width::Half) => 8.5e-4,
         }
     }
 

@@ -53,8 +53,10 @@ fn rounding(variant: &Variant) -> f64 {
         Some(Value::Float(bias)) if bias >= 1e-7 => 2e-3,
         Some(_) => 0.1,
     };
-    let summation = variant.params.iter().any(|param| param == ("summation", Value::Text("fixed")));
-    if summation { 0.0 } else { rounding.max(narrow_rounding(&variant.params)) }
+    let has = |wanted: &str| variant.params.iter().any(|(name, _)| name == wanted);
+    let fixed = variant.params.iter().any(|param| param == ("summation", Value::Text("fixed")));
+    // weights that are seen through a map are rounded as the map's sums are
+    if fixed && !has("composite") { 0.0 } else { rounding.max(narrow_rounding(&variant.params)) }
 }
 
 /// The unit roundoff of the narrowest format, twice per layer.
