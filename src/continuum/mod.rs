@@ -16,6 +16,7 @@ pub mod opacity;
 pub mod oracle;
 pub mod polyline;
 pub mod range;
+pub mod ringing;
 pub mod samples;
 pub mod scaled;
 pub mod search;

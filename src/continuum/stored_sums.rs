@@ -391,5 +391,6 @@ impl StoredSums {
     }
 }
 
+pub mod diagnose;
 #[cfg(test)]
 mod tests;

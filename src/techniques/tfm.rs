@@ -4,7 +4,9 @@
 use crate::continuum::absorbance::{S_MAX, SELF_CORRECT, absorbances, transmittance, transmittances};
 use crate::continuum::oracle::{CHUNK, Composite, Oracle, TwoPass, chunks, see_one};
 use crate::continuum::range::{DepthRange, Interval};
+use crate::continuum::ringing::{RINGS, exp_minus, ringing};
 use crate::continuum::series::{LANES, Lanes, Rotor, blocks, half_turns, harmonics, project, sum};
+use crate::diagnosis::{Diagnosis, Faults};
 use crate::error::Result;
 use crate::fragments::{Fragment, List};
 use crate::params::{Kind, ParamSpec, Params, Value, View};
@@ -174,6 +176,18 @@ impl Extinction {
             s_max: params.float("s_max"),
         }
     }
+
+    /// τ in front of each fragment, of the others alone if that is asked for; rings, also below zero.
+    fn taus(&self, map: &Map, list: List<'_>, seen: &mut [f64]) {
+        let (mut phases, mut s, mut taus) = ([0.0; CHUNK], [0.0; CHUNK], [[0.0; LANES]; CHUNK / LANES]);
+        map.phases(list.depth, &mut phases);
+        if self.self_correct {
+            absorbances(list.alpha, self.s_max, &mut s);
+        }
+        let used = list.len().next_multiple_of(LANES);
+        taus_of_others(map.mean, &map.cosines, blocks(&phases[..used]), blocks(&s), &mut taus);
+        seen.copy_from_slice(&taus.as_flattened()[..list.len()]);
+    }
 }
 
 impl Oracle for Extinction {
@@ -196,14 +210,7 @@ impl Oracle for Extinction {
     }
 
     fn see(&self, map: &Map, list: List<'_>, seen: &mut [f64]) {
-        let (mut phases, mut s, mut taus) = ([0.0; CHUNK], [0.0; CHUNK], [[0.0; LANES]; CHUNK / LANES]);
-        map.phases(list.depth, &mut phases);
-        if self.self_correct {
-            absorbances(list.alpha, self.s_max, &mut s);
-        }
-        let used = list.len().next_multiple_of(LANES);
-        taus_of_others(map.mean, &map.cosines, blocks(&phases[..used]), blocks(&s), &mut taus);
-        seen.copy_from_slice(&taus.as_flattened()[..list.len()]);
+        self.taus(map, list, seen);
         transmittances(seen);
     }
 
@@ -213,6 +220,14 @@ impl Oracle for Extinction {
 
     fn total(&self, map: &Map) -> f64 {
         transmittance(map.mean)
+    }
+
+    fn faults(&self) -> Faults {
+        RINGS
+    }
+
+    fn diagnose(&self, map: &Map, list: List<'_>) -> Diagnosis {
+        ringing(list, |part, seen| exp_minus(seen, |taus| self.taus(map, part, taus)), |z| self.at(map, z))
     }
 
     fn cost(&self, _complexity: &DepthComplexity) -> Cost {
@@ -283,6 +298,18 @@ impl Oracle for Curve {
 
     fn total(&self, map: &Map) -> f64 {
         map.value(1.0).clamp(0.0, 1.0)
+    }
+
+    fn faults(&self) -> Faults {
+        RINGS
+    }
+
+    fn diagnose(&self, map: &Map, list: List<'_>) -> Diagnosis {
+        let value = |depth: f32| map.value(map.interval.position(depth));
+        let values = |part: List<'_>, seen: &mut [f64]| {
+            seen.iter_mut().zip(part.depth).for_each(|(seen, &depth)| *seen = value(depth));
+        };
+        ringing(list, values, |z| self.at(map, z))
     }
 
     fn cost(&self, _complexity: &DepthComplexity) -> Cost {

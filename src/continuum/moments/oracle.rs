@@ -5,6 +5,7 @@ use crate::continuum::absorbance::{absorbances, transmittance, transmittances};
 use crate::continuum::functions::ln;
 use crate::continuum::oracle::{CHUNK, Composite, Oracle, TwoPass, chunks, see_one};
 use crate::continuum::range::DepthRange;
+use crate::diagnosis::{Diagnosis, Fault, Faults};
 use crate::fragments::{Fragment, List};
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{AnyTechnique, Cost, DepthComplexity, Pixel, Properties};
@@ -166,6 +167,20 @@ impl<B: Basis> Oracle for MomentOracle<B> {
         if map.moments.is_some() { transmittance(map.total.into()) } else { 1.0 }
     }
 
+    fn faults(&self) -> Faults {
+        Faults::of(&[Fault::HankelFailures, Fault::BiasRetries])
+    }
+
+    fn diagnose(&self, map: &Self::Map, _list: List<'_>) -> Diagnosis {
+        let mut found = Diagnosis::CLEAR;
+        let retries = map.moments.as_ref().map_or(0, B::retries);
+        if retries > 0 {
+            found.count(Fault::HankelFailures);
+        }
+        (0..retries).for_each(|_| found.count(Fault::BiasRetries));
+        found
+    }
+
     #[expect(clippy::cast_precision_loss, reason = "a handful of targets")]
     fn cost(&self, _complexity: &DepthComplexity) -> Cost {
         Cost { geometry_passes: 2.0, bytes_per_pixel: 4.0 * (self.basis.stored() + 1) as f64 + 10.0 }
@@ -287,6 +302,22 @@ mod tests {
             });
         }
         assert!(raised.iter().all(|n| *n <= 3), "{raised:?}");
+    }
+
+    /// One layer has a singular matrix, which no bias lets pass; ten times a bias is the next.
+    #[test]
+    fn diagnoses_say_how_often_the_bias_was_raised() {
+        let layer = [fragment(2.0, [1.0; 3], 0.5, 0), fragment(6.0, [1.0; 3], 0.5, 1)];
+        for id in IDS {
+            let found = |bias| {
+                let technique = build(id, &[("bias", Input::Float(bias))]).unwrap();
+                let found = as_pixel(&layer, |pixel| technique.diagnose(pixel));
+                [Fault::HankelFailures, Fault::BiasRetries].map(|fault| found.amount(fault))
+            };
+            assert_eq!(found(1e-3), [0.0, 0.0], "{id}");
+            let [failures, retries] = found(0.0);
+            assert!(failures == 1.0 && retries >= 1.0, "{id}: {retries}");
+        }
     }
 
     /// Opaque fragments, coincident and clustered depths, and no bias but what the guard asks for.
