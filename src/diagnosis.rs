@@ -21,7 +21,7 @@ pub enum Fault {
     HankelFailures,
     /// How often the moments' bias had to be raised, tenfold each time.
     BiasRetries,
-    /// Fragments at whose depth a map had to be clamped to [0, 1], or lets through more than in front of it.
+    /// Fragments that see a transmittance outside of [0, 1], which is clamped, or one that rises with depth.
     ClampedRinging,
 }
 

@@ -42,10 +42,18 @@ def stored_in(entry: TechniqueInfo, params: Mapping[str, Any], format: str) -> d
         return dict(params)
     if format in names.get("format", ()):
         return {**params, "format": format}
-    able = {name: format for name, known in names.items() if format in known}
-    if not able or _BESIDE not in names.get("format", ()):
+    if _BESIDE not in names.get("format", ()):
         return None
-    return {**params, "format": _BESIDE, **able}
+    beside = {**params, "format": _BESIDE}
+    able = {name: format for name, known in names.items() if format in known}
+    there = {name: format for name in able if _is_there(entry, beside, {name: format})}
+    return {**beside, **there} if there else None
+
+
+def _is_there(entry: TechniqueInfo, params: dict[str, Any], change: dict[str, Any]) -> bool:
+    """Tell whether there is such a target under these params: then its format shows in the bytes per pixel."""
+    deep = {"depth_complexity_mean": 2.0, "depth_complexity_max": 4}
+    return entry.cost({**params, **change}, **deep) != entry.cost(params, **deep)
 
 
 def described(entry: TechniqueInfo, params: Mapping[str, Any]) -> str:

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 PLOTTED = "layers_thin"
 """The case whose errors are drawn against the number of layers."""
 _GROWING = ("layers_faint", "layers_thin", "layers_dense")
-_FLOOR = 1e-16
-"""Errors are drawn from here on: two images that agree to the bit have none to put on a logarithmic axis."""
+_DRAWN = (1e-9, 10.0)
+"""Errors are drawn within these: two images that agree to the bit have none to put on a logarithmic axis."""
 
 # Okabe and Ito's palette with a dash and a marker for each: told apart without colours, too
 _STYLES = (
@@ -169,9 +169,9 @@ def figure(curves: pd.DataFrame, tolerance: float) -> Any:
 
     names = list(dict.fromkeys(curves["technique"]))
     formats = list(dict.fromkeys(curves["format"]))
-    columns = min(4, len(names))
+    columns = min(6, len(names))
     rows = math.ceil(len(names) / columns)
-    drawing = Figure(figsize=(3.4 * columns + 0.6, 2.5 * rows + 1.2), layout="constrained")
+    drawing = Figure(figsize=(2.6 * columns + 1.4, 2.1 * rows + 1.2), layout="constrained")
     panels = drawing.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
     for panel, name in zip(panels.flat, names, strict=False):
         _panel(panel, curves[curves["technique"] == name], formats, tolerance)
@@ -179,24 +179,24 @@ def figure(curves: pd.DataFrame, tolerance: float) -> Any:
     for panel in list(panels.flat)[len(names) :]:
         panel.set_axis_off()
     handles, labels = _legend(formats, tolerance)
-    drawing.legend(handles, labels, loc="outside upper center", ncols=min(len(labels), 3), fontsize=10)
+    drawing.legend(handles, labels, loc="outside upper center", ncols=min(len(labels), 1 + columns // 2), fontsize=11)
     drawing.supxlabel("layers of alpha 0.1 in a pixel (number)", fontsize=11)
-    drawing.supylabel("largest error of a channel (linear RGB, 1 = white)", fontsize=11)
+    drawing.supylabel(f"largest error of a channel (linear RGB, 1 = white; less than {_DRAWN[0]:.0e} at the bottom)", fontsize=11)
     return drawing
 
 
 def _panel(panel: Any, curves: pd.DataFrame, formats: Sequence[str], tolerance: float) -> None:
     panel.set_xscale("log")
     panel.set_yscale("log")
-    panel.set_ylim(_FLOOR, 3.0)
+    panel.set_ylim(*_DRAWN)
     panel.axhline(tolerance, color="black", linewidth=0.8, linestyle=":")
     for name, (color, dash, marker) in zip(formats, _STYLES, strict=False):
         line = curves[curves["format"] == name]
         stored = line[line["error_f64"].notna()]
-        errors = stored["error_f64"].clip(lower=_FLOOR)
+        errors = stored["error_f64"].clip(*_DRAWN)
         panel.plot(stored["layers"], errors, color=color, linestyle=dash, marker=marker, markersize=3.5, linewidth=1.3)
     widest = curves[curves["format"] == curves["format"].iloc[0]]
-    errors = widest["error_exact"].clip(lower=_FLOOR)
+    errors = widest["error_exact"].clip(*_DRAWN)
     panel.plot(widest["layers"], errors, color=_EXACT_COLOR, linewidth=2.2, alpha=0.6)
     panel.grid(color="#dddddd", linewidth=0.5)
     panel.tick_params(labelsize=9)

@@ -19,7 +19,7 @@ MEANING = MappingProxyType(
         "non_finite": "stored numbers that were infinite or NaN when read; the largest number stands in for them",
         "hankel_failures": "1 where the moments' matrix was not positive definite with the bias asked for",
         "bias_retries": "how often the moments' bias had to be raised, tenfold each time",
-        "clamped_ringing": "fragments at whose depth a series left [0, 1] or rose with depth",
+        "clamped_ringing": "fragments at whose depth T(z) of a series or of moments left [0, 1] or rose",
     }
 )
 """Every kind of diagnostic, and what its numbers count."""

@@ -12,7 +12,11 @@ const ROUNDING: f64 = 1e-9;
 
 /// Counts the fragments that see an `unclamped` transmittance outside of [0, 1], or at whose depth the function, `at`,
 /// exceeds what it is at the next nearer one.
-pub fn ringing(list: List<'_>, unclamped: impl Fn(List<'_>, &mut [f64]), at: impl Fn(f32) -> f64) -> Diagnosis {
+pub fn ringing(
+    list: List<'_>,
+    unclamped: impl Fn(List<'_>, &mut [f64]),
+    at: impl Fn(f32) -> f64,
+) -> Diagnosis {
     let mut rings = Vec::with_capacity(list.len());
     let mut seen = [0.0; CHUNK];
     for part in chunks(list) {

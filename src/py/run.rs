@@ -159,8 +159,7 @@ pub fn diagnose<'py>(
         variants.into_iter().map(|(id, params)| Ok((id, inputs(&params)?))).collect::<PyResult<_>>()?;
     let options = options(threads, true)?;
     let shape = source.shape();
-    let found =
-        interruptible(py, move |stop| core::diagnose(source.as_source(), &requests, &options, stop))?;
+    let found = interruptible(py, move |stop| core::diagnose(source.as_source(), &requests, &options, stop))?;
     let dict = |diagnostics: core::Diagnostics| {
         let dict = PyDict::new(py);
         for (fault, amounts) in diagnostics.images {

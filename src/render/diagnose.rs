@@ -77,7 +77,8 @@ impl<'a> Job<'a> {
         let columns = raster.columns();
         let tiles = (0..raster.rows() * columns).into_par_iter();
         let part = |tile| {
-            let (rect, lists, background) = capture::tile(raster, (tile % columns, tile / columns), self.stop);
+            let (rect, lists, background) =
+                capture::tile(raster, (tile % columns, tile / columns), self.stop);
             #[expect(clippy::cast_sign_loss, reason = "inside the image")]
             let batch = Batch {
                 x: rect.x0 as u32,

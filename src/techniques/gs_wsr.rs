@@ -229,7 +229,15 @@ impl Technique for WeightedSumRendering {
         let counts = |z| !matches!(weight, Weight::Linear { .. }) || weight.at_f64(z) > 0.0;
         for f in pixel.list.iter().filter(|f| counts(f.depth)) {
             // the share R is nobody's target here
-            sums.add_watched(recipe, weight.stored_at(recipe, f.depth), f.color, f.alpha, 0.0, 1.0, &mut found);
+            sums.add_watched(
+                recipe,
+                weight.stored_at(recipe, f.depth),
+                f.color,
+                f.alpha,
+                0.0,
+                1.0,
+                &mut found,
+            );
         }
         sums.read_watched(recipe, &mut found);
         found

@@ -5,6 +5,7 @@ use crate::continuum::absorbance::{absorbances, transmittance, transmittances};
 use crate::continuum::functions::ln;
 use crate::continuum::oracle::{CHUNK, Composite, Oracle, TwoPass, chunks, see_one};
 use crate::continuum::range::DepthRange;
+use crate::continuum::ringing::{RINGS, exp_minus, ringing};
 use crate::diagnosis::{Diagnosis, Fault, Faults};
 use crate::fragments::{Fragment, List};
 use crate::params::{Kind, ParamSpec, Params, Value, View};
@@ -116,6 +117,16 @@ impl<B: Basis> MomentOracle<B> {
         }
     }
 
+    /// τ in front of each fragment, as the moments have it; none where the pixel counts as empty.
+    fn taus(&self, map: &Map<B::Moments>, list: List<'_>, taus: &mut [f64]) {
+        let Some(moments) = &map.moments else { return taus.fill(0.0) };
+        let mut d = [0.0; CHUNK];
+        let d = &mut d[..list.len()];
+        map.warp.positions(list.depth, d);
+        self.basis.shares_in_front(moments, d, self.overestimation, taus);
+        taus.iter_mut().for_each(|share| *share *= f64::from(map.total));
+    }
+
     /// Total absorbance, and the sum of each basis function weighted with it, as blended in single precision.
     #[expect(clippy::cast_possible_truncation, reason = "the sums are f32 targets")]
     fn sum(&self, warp: &Warp, list: List<'_>) -> (f32, [f32; MAX_STORED]) {
@@ -148,12 +159,7 @@ impl<B: Basis> Oracle for MomentOracle<B> {
     }
 
     fn see(&self, map: &Self::Map, list: List<'_>, seen: &mut [f64]) {
-        let Some(moments) = &map.moments else { return seen.fill(1.0) };
-        let mut d = [0.0; CHUNK];
-        let d = &mut d[..list.len()];
-        map.warp.positions(list.depth, d);
-        self.basis.shares_in_front(moments, d, self.overestimation, seen);
-        seen.iter_mut().for_each(|share| *share *= f64::from(map.total));
+        self.taus(map, list, seen);
         transmittances(seen);
     }
 
@@ -168,11 +174,12 @@ impl<B: Basis> Oracle for MomentOracle<B> {
     }
 
     fn faults(&self) -> Faults {
-        Faults::of(&[Fault::HankelFailures, Fault::BiasRetries])
+        RINGS.and(&[Fault::HankelFailures, Fault::BiasRetries])
     }
 
-    fn diagnose(&self, map: &Self::Map, _list: List<'_>) -> Diagnosis {
-        let mut found = Diagnosis::CLEAR;
+    fn diagnose(&self, map: &Self::Map, list: List<'_>) -> Diagnosis {
+        let unclamped = |part: List<'_>, seen: &mut [f64]| exp_minus(seen, |taus| self.taus(map, part, taus));
+        let mut found = ringing(list, unclamped, |depth| self.at(map, depth));
         let retries = map.moments.as_ref().map_or(0, B::retries);
         if retries > 0 {
             found.count(Fault::HankelFailures);
