@@ -20,7 +20,6 @@ True
 from . import scenes
 from ._oitlab import __version__
 from .diagnostics import Diagnostics
-from .splitting import ErrorPart, ErrorSplit, error_split
 from .exr import read_exr, write_exr
 from .fragments import Fragments
 from .frame import Frame, Stats
@@ -31,6 +30,7 @@ from .png import write_png
 from .registry import Cost, ParamInfo, TechniqueInfo, techniques
 from .rendering import capture, render, render_many
 from .scene import Camera, Mesh, Scene
+from .splitting import ErrorPart, ErrorSplit, error_split
 from .stress_lab import stress, stress_cases
 
 __all__ = [

@@ -51,9 +51,12 @@ def stored_in(entry: TechniqueInfo, params: Mapping[str, Any], format: str) -> d
 
 
 def _is_there(entry: TechniqueInfo, params: dict[str, Any], change: dict[str, Any]) -> bool:
-    """Tell whether there is such a target under these params: then its format shows in the bytes per pixel."""
-    deep = {"depth_complexity_mean": 2.0, "depth_complexity_max": 4}
-    return entry.cost({**params, **change}, **deep) != entry.cost(params, **deep)
+    """Tell whether there is such a target under these params: then its format shows in bytes per pixel."""
+
+    def bytes_of(params: dict[str, Any]) -> float:
+        return entry.cost(params, depth_complexity_mean=2.0, depth_complexity_max=4).bytes_per_pixel
+
+    return bytes_of({**params, **change}) != bytes_of(params)
 
 
 def described(entry: TechniqueInfo, params: Mapping[str, Any]) -> str:

@@ -1,7 +1,7 @@
 """The stress lab's battery: named stacks of layers, each of which is hard on one kind of number.
 
-A case is one row of pixels; each pixel has the first so many layers of one endless stack, so that errors can be
-followed as the stack grows.
+A case is one row of pixels; each pixel has the first so many layers of one endless stack, so that errors can
+be followed as the stack grows.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ def _log_depths(low: float, high: float, alpha: float = 0.1) -> Callable[..., _S
 
 
 def _clusters(draw: np.random.Generator, n: int) -> _Stack:
-    """Three clusters as tight as float32 can tell apart, with gaps a thousand times the distance of the first."""
+    """Three clusters as tight as float32 can tell apart, with gaps of a thousand times their distance."""
     center = np.array([1.0, 1e3, 1e6])[np.arange(n) % 3]
     return center * (1.0 + 1e-6 * draw.integers(0, 8, n)), _colors(draw, n), np.full(n, 0.2)
 

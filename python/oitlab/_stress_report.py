@@ -23,8 +23,15 @@ _GROWING = ("layers_faint", "layers_thin", "layers_dense")
 _DRAWN = (1e-9, 10.0)
 """Errors are drawn within these: two images that agree to the bit have none to put on a logarithmic axis."""
 
+_ERRORS = "Errors are the largest of a channel, relative to the reference where that exceeds 1."
+_COLUMNS = """\
+Storage error: against the technique in float64. Error: against `a_buffer`. Layers: first number of layers, of
+alpha 0.002, 0.1 and 0.9, at which the storage error has left the tolerance. Rescued: cases in which stored
+numbers were infinite and read as the largest one. Rings: cases in which T(z) rises or is no share. Coverage:
+cases in which the background's share is not the product of 1 - alpha to 2^-24."""
+
 # Okabe and Ito's palette with a dash and a marker for each: told apart without colours, too
-_STYLES = (
+_STYLES: tuple[tuple[str, Any, str], ...] = (
     ("#0072B2", "-", "o"),
     ("#D55E00", "--", "s"),
     ("#009E73", "-.", "^"),
@@ -43,19 +50,26 @@ def run(
     threads: int | None,
     progress: Callable[[str], None],
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Run the battery on every technique; give the table and, for the plot, the errors by number of layers."""
+    """Run the battery on every technique; give the table and, for the plot, errors by number of layers."""
     import pandas as pd
 
     tables, curves = [], []
     for name in names:
         progress(name)
-        keywords: dict[str, Any] = {"formats": formats, "seed": seed, "tolerance": tolerance, "threads": threads}
+        keywords: dict[str, Any] = {
+            "formats": formats,
+            "seed": seed,
+            "tolerance": tolerance,
+            "threads": threads,
+        }
         tables.append(stress(name, **keywords))
         curves.append(stress(name, cases=[PLOTTED], per_layers=True, **keywords))
     return pd.concat(tables, ignore_index=True), pd.concat(curves, ignore_index=True)
 
 
-def write(folder: Path, table: pd.DataFrame, curves: pd.DataFrame, command: str, tolerance: float) -> list[Path]:
+def write(
+    folder: Path, table: pd.DataFrame, curves: pd.DataFrame, command: str, tolerance: float
+) -> list[Path]:
     """Write table.md, table.csv and error_against_layers.png into a folder that exists; give their paths."""
     about = {"command": command, **provenance()}
     image = io.BytesIO()
@@ -80,21 +94,19 @@ def footer(about: Mapping[str, Any]) -> str:
 
 def markdown(table: pd.DataFrame, tolerance: float) -> str:
     """Lay the findings out: one row per technique and format, MB13's statements, and what the cases are."""
+    cases = [(case.name, f"{max(case.layers):,}", case.doc) for case in CASES]
     parts = [
         "# The stress lab",
-        f"Errors are the largest of a channel, relative where the reference exceeds 1; a result has left the tolerance "
-        f"where its error exceeds {tolerance:.3g}. All rows are in table.csv; `oitlab.stress` says what its columns mean.",
+        f"{_ERRORS} A result has left the tolerance where its error exceeds {tolerance:.3g}. All rows are in "
+        "table.csv; `oitlab.stress` says what its columns mean.",
         "## By technique and format",
-        "Storage error: against the technique in float64. Error: against `a_buffer`. Layers: first number of layers, "
-        "of alpha 0.002, 0.1 and 0.9, at which the storage error has left the tolerance. Rescued: cases in which stored "
-        "numbers were infinite and read as the largest one. Rings: cases in which T(z) rises or leaves [0, 1]. Coverage: "
-        "cases in which the background's share is not the product of 1 - alpha to 2^-24.",
+        _COLUMNS,
         _summary(table),
         "## What McGuire and Bavoil say of 16-bit targets",
         "First number of layers at which the storage error has left the tolerance, and the largest error.",
         _statements(table),
         "## The cases",
-        _lines(("case", "layers", "what it is"), [(c.name, f"{max(c.layers):,}", c.doc) for c in CASES]),
+        _lines(("case", "layers", "what it is"), cases),
     ]
     return "\n\n".join(part for part in parts if part) + "\n"
 
@@ -129,28 +141,39 @@ def _statements(table: pd.DataFrame) -> str:
     for (technique, name), group in found.groupby(["technique", "format"], sort=False):
         by_case = group.set_index("case")
         rows.append((f"`{technique}`", str(name), *(_statement(by_case, case) for case in names)))
-    return _lines(("technique", "format", *names), rows) if rows else "None of these techniques sums weighted colours."
+    return (
+        _lines(("technique", "format", *names), rows)
+        if rows
+        else "None of these techniques sums weighted colours."
+    )
 
 
 def _statement(by_case: pd.DataFrame, case: str) -> str:
     if case not in by_case.index:
         return "–"
-    error = float(by_case.loc[case, "error_f64"])
-    return f"{_layers(by_case, case)} ({error:.1g})"
+    return f"{_layers(by_case, case)} ({_numbers(by_case, 'error_f64')[case]:.1g})"
 
 
 def _layers(by_case: pd.DataFrame, case: str) -> str:
-    if case not in by_case.index or math.isnan(float(by_case.loc[case, "error_f64"])):
+    if case not in by_case.index or math.isnan(_numbers(by_case, "error_f64")[case]):
         return "–"
-    first = by_case["layers_storage"].astype(float)[case]
+    first = _numbers(by_case, "layers_storage")[case]
     return "never" if math.isnan(first) else f"{int(first):,}"
 
 
 def _worst(group: pd.DataFrame, column: str) -> str:
-    if group[column].isna().all():
+    errors = _numbers(group.set_index("case"), column)
+    known = {case: error for case, error in errors.items() if not math.isnan(error)}
+    if not known:
         return "–"
-    row = group.loc[group[column].idxmax()]
-    return f"{row[column]:.2g} ({row['case']})"
+    case = max(known, key=known.__getitem__)
+    return f"{known[case]:.2g} ({case})"
+
+
+def _numbers(by_case: pd.DataFrame, column: str) -> dict[str, float]:
+    """Give a column by case, NaN where something is missing."""
+    values = by_case[column].to_numpy(dtype=float, na_value=math.nan)
+    return dict(zip(map(str, by_case.index), map(float, values), strict=True))
 
 
 def _tally(marks: Any) -> str:
@@ -179,9 +202,14 @@ def figure(curves: pd.DataFrame, tolerance: float) -> Any:
     for panel in list(panels.flat)[len(names) :]:
         panel.set_axis_off()
     handles, labels = _legend(formats, tolerance)
-    drawing.legend(handles, labels, loc="outside upper center", ncols=min(len(labels), 1 + columns // 2), fontsize=11)
+    drawing.legend(
+        handles, labels, loc="outside upper center", ncols=min(len(labels), 1 + columns // 2), fontsize=11
+    )
     drawing.supxlabel("layers of alpha 0.1 in a pixel (number)", fontsize=11)
-    drawing.supylabel(f"largest error of a channel (linear RGB, 1 = white; less than {_DRAWN[0]:.0e} at the bottom)", fontsize=11)
+    drawing.supylabel(
+        f"largest error of a channel (linear RGB, 1 = white; less than {_DRAWN[0]:.0e} at the bottom)",
+        fontsize=11,
+    )
     return drawing
 
 
@@ -194,7 +222,15 @@ def _panel(panel: Any, curves: pd.DataFrame, formats: Sequence[str], tolerance: 
         line = curves[curves["format"] == name]
         stored = line[line["error_f64"].notna()]
         errors = stored["error_f64"].clip(*_DRAWN)
-        panel.plot(stored["layers"], errors, color=color, linestyle=dash, marker=marker, markersize=3.5, linewidth=1.3)
+        panel.plot(
+            stored["layers"],
+            errors,
+            color=color,
+            linestyle=dash,
+            marker=marker,
+            markersize=3.5,
+            linewidth=1.3,
+        )
     widest = curves[curves["format"] == curves["format"].iloc[0]]
     errors = widest["error_exact"].clip(*_DRAWN)
     panel.plot(widest["layers"], errors, color=_EXACT_COLOR, linewidth=2.2, alpha=0.6)

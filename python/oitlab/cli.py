@@ -222,7 +222,11 @@ def _add_stress(commands: Any) -> None:
     )
     command.add_argument("--seed", type=int, default=0, metavar="N", help="of colours and depths; default: 0")
     command.add_argument(
-        "--tolerance", type=float, default=1 / 255, metavar="X", help="largest error that will do; default: 1/255"
+        "--tolerance",
+        type=float,
+        default=1 / 255,
+        metavar="X",
+        help="largest error that will do; default: 1/255",
     )
     command.add_argument("--threads", type=int, metavar="N", help="default: all")
     command.add_argument(
@@ -369,7 +373,11 @@ def _stress(options: argparse.Namespace) -> None:
 def _changed(options: argparse.Namespace) -> list[str]:
     """Give the options of `oitlab stress` that decide what its tables say and are not the defaults."""
     usual = {"formats": "f32,f16,unorm8", "seed": 0, "tolerance": 1 / 255}
-    return [f"--{name} {getattr(options, name)}" for name, value in usual.items() if getattr(options, name) != value]
+    return [
+        f"--{name} {getattr(options, name)}"
+        for name, value in usual.items()
+        if getattr(options, name) != value
+    ]
 
 
 def _all_techniques() -> list[tuple[str, dict[str, Any]]]:

@@ -16,7 +16,7 @@ MEANING = MappingProxyType(
         "stagnation": "fragments that a stored number took no notice of, because it was too large for them",
         "saturation": "fragments whose blend or node met the end of a format that has no infinity",
         "cancellation": "bits lost by subtracting numbers about as large, at most those that the format has",
-        "non_finite": "stored numbers that were infinite or NaN when read; the largest number stands in for them",
+        "non_finite": "stored numbers that were infinite or NaN when read, as the largest number",
         "hankel_failures": "1 where the moments' matrix was not positive definite with the bias asked for",
         "bias_retries": "how often the moments' bias had to be raised, tenfold each time",
         "clamped_ringing": "fragments at whose depth T(z) of a series or of moments left [0, 1] or rose",

@@ -128,8 +128,8 @@ class Frame:
         fragment_count: Later[NDArray[np.uint32]],
         diagnostics: Diagnostics | None = None,
     ) -> None:
-        self._color = _Cell(color)
-        self._transmittance = _Cell(transmittance)
+        self._color: _Cell[Floats] = _Cell(color)
+        self._transmittance: _Cell[Floats] = _Cell(transmittance)
         self._technique = technique
         self._params = params
         self._scene_hash = _Cell(scene_hash)

@@ -51,8 +51,8 @@ def render(
     dtype : {"float32", "float64"}
         Of `Frame.color` and `Frame.transmittance`.
     diagnostics : bool
-        True fills `Frame.diagnostics`: per pixel, what overflowed, underflowed, cancelled and so on. Everything
-        is rasterised and computed once more for it; False costs nothing.
+        True fills `Frame.diagnostics`: per pixel, what overflowed, underflowed, cancelled and so on.
+        Everything is rasterised and computed once more for it; False costs nothing.
 
     Returns
     -------

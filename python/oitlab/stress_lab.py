@@ -29,11 +29,11 @@ FORMATS = ("f32", "f16", "unorm8")
 TOLERANCE = 1.0 / 255.0
 """One step of an 8-bit display."""
 _EXACT_SHARE = 2.0**-24
-"""Half a unit in the last place of a float32 next to 1: a background share that is off by no more is exact."""
+"""Half a unit in the last place of a float32 next to 1: a share that is off by no more is exact."""
 _ROUNDING = 1e-9
 """Steps up of a transmittance function that are no more than the rounding of its evaluation."""
 _LOOKED_AT = 100
-"""Layers of the deepest pixel whose transmittance function is evaluated: the exact one takes quadratic time."""
+"""Layers of the pixel whose transmittance function is evaluated: the exact one takes quadratic time."""
 _INTEGERS = ("layers", "rescued", "layers_storage", "layers_exact")
 _MARKS = ("finite", "monotone", "exact_coverage")
 
@@ -71,15 +71,15 @@ def stress(
 ) -> pd.DataFrame:
     """Run the battery on a technique, stored in several formats.
 
-    A case is a stack of layers that is hard on one kind of number: many layers, faint and opaque ones, wide and tight
-    depths, colours beyond what a half can hold, weights at their clamps, every order of submission, and what
-    McGuire and Bavoil say of 16-bit targets [McGuire2013]. Its pixels have the first 1, 2, 5, ... layers of the
-    stack. `stress_cases` names them all.
+    A case is a stack of layers that is hard on one kind of number: many layers, faint and opaque ones, wide
+    and tight depths, colours beyond what a half can hold, weights at their clamps, every order of submission,
+    and what McGuire and Bavoil say of 16-bit targets [McGuire2013]. Its pixels have the first 1, 2, 5, ...
+    layers of the stack. `stress_cases` names them all.
 
-    Errors are the largest difference of a channel, divided by the brightest channel of the reference where that
-    exceeds 1. Where not every target can be in a format, those that can are, and the others are in f16: "unorm8" of
-    `wboit` is 8 bits of revealage beside half sums. A technique without formats is run in "f32" alone, as it is; a
-    format that no target can have gives no row.
+    Errors are the largest difference of a channel, divided by the brightest channel of the reference where
+    that exceeds 1. Where not every target can be in a format, those that can are, and the others are in f16:
+    "unorm8" of `wboit` is 8 bits of revealage beside half sums. A technique without formats is run in "f32"
+    alone, as it is; a format that no target can have gives no row.
 
     Parameters
     ----------
@@ -113,10 +113,10 @@ def stress(
         | `error_f64` | largest error against the technique in float64; NaN where it has no such form |
         | `error_exact` | largest error against `a_buffer` |
         | `finite` | whether the image is |
-        | `rescued` | stored numbers that were not, and were read as the largest one; missing where not looked for |
+        | `rescued` | stored numbers that were not and read as the largest one; missing where not looked for |
         | `monotone` | whether T(z) falls from 1 towards 0 only; missing where there is no such function |
         | `exact_coverage` | whether the background's share is within 2^-24 of the product of 1 - alpha |
-        | `layers_storage` | first number of layers at which `error_f64` exceeds the tolerance; missing: none |
+        | `layers_storage` | first number of layers at which `error_f64` exceeds the tolerance, if any |
         | `layers_exact` | the same for `error_exact` |
 
         With `per_layers` the last two, `rescued` and `monotone` are left out.
@@ -128,13 +128,13 @@ def stress(
 
     Examples
     --------
-    Twenty opaque layers at the upper clamp of the weights are what halves can take:
+    Twenty-one opaque layers at the upper clamp of the weights are what halves can take:
 
     >>> table = stress("wboit", formats=["f32", "f16"], cases=["mb13_overflow"])
     >>> print(table[["format", "finite", "rescued", "layers_storage"]].to_string(index=False))
     format  finite  rescued  layers_storage
        f32    True        0            <NA>
-       f16    True       17              23
+       f16    True       10              22
     """
     import pandas as pd
 
@@ -201,7 +201,11 @@ class _Battery:
             if split:
                 yield from ({**labels, **row} for row in found.each(case.layers))
             else:
-                yield {**labels, **found.all(case.layers, self.tolerance), **self._looks(frame, exact, params)}
+                yield {
+                    **labels,
+                    **found.all(case.layers, self.tolerance),
+                    **self._looks(frame, exact, params),
+                }
 
     def _asked(self, case: Case) -> dict[str, Any] | None:
         """Give the params of a case; None where it says nothing about the technique."""
@@ -315,7 +319,9 @@ def _formats(formats: Iterable[str], technique: str, params: Mapping[str, Any]) 
     if isinstance(formats, str) or not isinstance(formats, Iterable):
         raise ValueError(f"formats must be an iterable of names, got {formats!r}")
     wanted = list(dict.fromkeys(formats))
-    known = dict.fromkeys(name for entry in techniques() for names in format_params(entry).values() for name in names)
+    known = dict.fromkeys(
+        name for entry in techniques() for names in format_params(entry).values() for name in names
+    )
     for name in wanted:
         if name not in known:
             raise ValueError(f"formats: unknown {name!r}; known: {', '.join(known)}")

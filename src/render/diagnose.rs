@@ -8,7 +8,6 @@ use crate::order::{CentroidOrder, SubmissionOrder};
 use crate::params::View;
 use crate::raster::{self, Raster, Rect};
 use crate::resolve::{Resolver, Variant};
-use crate::scene::Scene;
 use crate::technique::Batch;
 use rayon::prelude::*;
 
@@ -43,7 +42,7 @@ pub fn diagnose(
         Source::Scene(scene) => {
             let raster = Raster::new(scene, options.tile_size, stop);
             let job = Job::new(source, &raster.view(), requests, stop)?;
-            job.images(scene.width(), scene.height(), job.scene(scene, &raster))
+            job.images(scene.width(), scene.height(), job.scene(&raster))
         }
         Source::Fragments(fragments) => {
             let job = Job::new(source, &fragments.view, requests, stop)?;
@@ -73,7 +72,7 @@ impl<'a> Job<'a> {
     }
 
     /// Tile by tile.
-    fn scene(&self, scene: &Scene, raster: &Raster<'_>) -> Vec<Part> {
+    fn scene(&self, raster: &Raster<'_>) -> Vec<Part> {
         let columns = raster.columns();
         let tiles = (0..raster.rows() * columns).into_par_iter();
         let part = |tile| {
@@ -89,7 +88,6 @@ impl<'a> Job<'a> {
                 sorted: None,
                 background: &background,
             };
-            debug_assert!(rect.x1 as u32 <= scene.width());
             (rect, self.part(&batch))
         };
         tiles.map(part).collect()
