@@ -5,7 +5,7 @@ import re
 import shlex
 from pathlib import Path
 
-from oitlab import cli
+from oitlab import _stress_command, cli
 
 PAGE = Path(__file__).parents[1] / "docs" / "numerics.md"
 
@@ -25,4 +25,4 @@ def test_its_shell_commands_are_ours() -> None:
     assert len(commands) == 2
     for command in commands:
         options = cli._parser().parse_args(shlex.split(command, comments=True)[1:])
-        assert options.run is cli._stress
+        assert options.run is _stress_command.run

@@ -153,6 +153,10 @@ def test_the_command_prints_and_refuses(capsys: pytest.CaptureFixture[str]) -> N
     assert "unknown technique 'no_such'" in capsys.readouterr().err
     assert cli.main(["stress", "wboit", "--formats", "f17"]) == 2
     assert "unknown 'f17'" in capsys.readouterr().err
+    assert cli.main(["stress", "wboit", "--formats", "srgb8"]) == 2
+    assert "none of wboit can store anything in srgb8" in capsys.readouterr().err
+    assert cli.main(["stress", "wboit", "wboit", "--formats", "f32"]) == 0
+    assert capsys.readouterr().out.count("| `wboit` | f32 |") == 2  # by technique, and what MB13 say
 
 
 def test_the_plot_has_units_and_a_line_for_each_format() -> None:

@@ -64,7 +64,10 @@ def run(
         }
         tables.append(stress(name, **keywords))
         curves.append(stress(name, cases=[PLOTTED], per_layers=True, **keywords))
-    return pd.concat(tables, ignore_index=True), pd.concat(curves, ignore_index=True)
+    table = pd.concat(tables, ignore_index=True)
+    if table.empty:
+        raise ValueError(f"formats: none of {', '.join(names)} can store anything in {', '.join(formats)}")
+    return table, pd.concat(curves, ignore_index=True)
 
 
 def write(
