@@ -1,6 +1,7 @@
 //! The lab bench for order-independent transparency.
 
 pub mod continuum;
+pub mod diagnosis;
 pub mod error;
 pub mod format;
 pub mod fragments;

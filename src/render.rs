@@ -2,6 +2,7 @@
 
 mod capture;
 mod depth;
+mod diagnose;
 mod image;
 mod inspect;
 mod plan;
@@ -10,6 +11,7 @@ mod tiles;
 
 pub use capture::capture;
 pub use depth::{DepthImages, depth_images};
+pub use diagnose::{Diagnostics, diagnose};
 pub use inspect::{Transmittance, cost, order_sensitivity, transmittance};
 
 use crate::error::{Error, Result};

@@ -1,6 +1,7 @@
 //! Runs techniques over batches of pixels: hands each the fragments it should see, in the order it should see
 //! them, and answers pixels itself where the answer is provably the technique's own.
 
+use crate::diagnosis::Diagnosis;
 use crate::fragments::{Lists, ListsRef};
 use crate::order::{CentroidOrder, Reorderer, SubmissionOrder, without_zero_fragments};
 use crate::params::Params;
@@ -153,6 +154,24 @@ impl Resolver {
         let prepared = prepare(batch, variant.wants_sorted(), reorderer, [kept, sorted, sorted_kept]);
         let (lists, sorted) = submitted(variant, &prepared, centroids, reorderer, reordered);
         variant.technique.transmittance(&Batch { lists, sorted, ..*batch }.pixel(0), depths)
+    }
+
+    /// What went wrong with the numbers of `variant` at each pixel of `batch`.
+    pub fn diagnose(
+        &mut self,
+        variant: &Variant,
+        centroids: Option<&CentroidOrder>,
+        batch: &Batch<'_>,
+    ) -> Vec<Diagnosis> {
+        let Self { reorderer, kept, sorted, sorted_kept, reordered, .. } = self;
+        let prepared = prepare(batch, variant.wants_sorted(), reorderer, [kept, sorted, sorted_kept]);
+        let (lists, sorted) = submitted(variant, &prepared, centroids, reorderer, reordered);
+        let batch = Batch { lists, sorted, ..*batch };
+        let of_pixel = |i| match lists.count(i) {
+            0 => Diagnosis::CLEAR,
+            _ => variant.technique.diagnose(&batch.pixel(i)),
+        };
+        (0..lists.len()).map(of_pixel).collect()
     }
 }
 

@@ -2,6 +2,7 @@
 //! the registry that says what it is called, what it costs and what it promises.
 
 use crate::continuum::sums::Blended;
+use crate::diagnosis::{Diagnosis, Faults};
 use crate::error::Result;
 use crate::format::Target;
 use crate::fragments::{List, ListsRef};
@@ -160,6 +161,17 @@ pub trait Technique: Send + Sync + 'static {
         None
     }
 
+    /// What can go wrong with the technique's numbers, as far as it is looked for.
+    fn faults(&self) -> Faults {
+        Faults::NONE
+    }
+
+    /// What went wrong with them at a pixel that holds at least one fragment: asked for by those who want to know, and
+    /// free to compute everything once more.
+    fn diagnose(&self, _pixel: &Pixel<'_>, _scratch: &mut Self::Scratch) -> Diagnosis {
+        Diagnosis::CLEAR
+    }
+
     /// The modelled cost on an image of this depth complexity.
     fn cost(&self, complexity: &DepthComplexity) -> Cost;
 
@@ -219,6 +231,10 @@ pub trait AnyTechnique: Send + Sync {
     fn colored_transmittance(&self) -> bool;
     /// See [`Technique::transmittance`].
     fn transmittance(&self, pixel: &Pixel<'_>, depths: &[f32]) -> Option<Vec<f64>>;
+    /// See [`Technique::faults`].
+    fn faults(&self) -> Faults;
+    /// See [`Technique::diagnose`].
+    fn diagnose(&self, pixel: &Pixel<'_>) -> Diagnosis;
     /// See [`Technique::cost`].
     fn cost(&self, complexity: &DepthComplexity) -> Cost;
     /// See [`Technique::properties`].
@@ -245,6 +261,12 @@ impl<T: Technique> AnyTechnique for T {
     }
     fn transmittance(&self, pixel: &Pixel<'_>, depths: &[f32]) -> Option<Vec<f64>> {
         Technique::transmittance(self, pixel, depths, &mut T::Scratch::default())
+    }
+    fn faults(&self) -> Faults {
+        Technique::faults(self)
+    }
+    fn diagnose(&self, pixel: &Pixel<'_>) -> Diagnosis {
+        Technique::diagnose(self, pixel, &mut T::Scratch::default())
     }
     fn cost(&self, complexity: &DepthComplexity) -> Cost {
         Technique::cost(self, complexity)

@@ -132,7 +132,6 @@ def test_odd_image_sizes(pane: oitlab.Mesh, shape: tuple[int, int]) -> None:
         (("wboit",), {"threads": 0}, "threads"),
         (("wboit",), {"threads": -1}, "threads"),
         (("wboit",), {"threads": 1.5}, "threads must be an integer"),
-        (("wboit",), {"diagnostics": True}, "diagnostics"),
     ],
 )
 def test_bad_requests_are_refused_by_name(

@@ -19,6 +19,7 @@ True
 
 from . import scenes
 from ._oitlab import __version__
+from .diagnostics import Diagnostics
 from .exr import read_exr, write_exr
 from .fragments import Fragments
 from .frame import Frame, Stats
@@ -29,10 +30,15 @@ from .png import write_png
 from .registry import Cost, ParamInfo, TechniqueInfo, techniques
 from .rendering import capture, render, render_many
 from .scene import Camera, Mesh, Scene
+from .splitting import ErrorPart, ErrorSplit, error_split
+from .stress_lab import stress, stress_cases
 
 __all__ = [
     "Camera",
     "Cost",
+    "Diagnostics",
+    "ErrorPart",
+    "ErrorSplit",
     "Fragments",
     "Frame",
     "LoadWarning",
@@ -47,12 +53,15 @@ __all__ = [
     "capture",
     "compare",
     "error_map",
+    "error_split",
     "load",
     "order_sensitivity",
     "read_exr",
     "render",
     "render_many",
     "scenes",
+    "stress",
+    "stress_cases",
     "techniques",
     "transmittance",
     "write_exr",

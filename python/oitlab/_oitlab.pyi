@@ -15,6 +15,7 @@ __all__ = [
     "build_features",
     "capture",
     "cost",
+    "diagnose",
     "order_sensitivity",
     "render",
     "techniques",
@@ -144,6 +145,11 @@ def render(
     skip: bool,
     float64: bool,
 ) -> list[Frame]: ...
+def diagnose(
+    source: Scene | Fragments,
+    variants: list[tuple[str, dict[str, Any]]],
+    threads: int | None,
+) -> list[dict[str, NDArray[Any]]]: ...
 def capture(scene: Scene, threads: int | None) -> Fragments: ...
 def transmittance(
     fragments: Fragments,

@@ -1,4 +1,4 @@
-"""The command line: `oitlab render`, `oitlab compare`, `oitlab techniques`, `oitlab demo`.
+"""The command line: `oitlab render`, `oitlab compare`, `oitlab techniques`, `oitlab demo`, `oitlab stress`.
 
 A scene is a mesh file or `scene:NAME`, one of the procedural scenes of `oitlab.scenes`. Every error is one
 line on stderr and exit status 2.
@@ -16,6 +16,8 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from . import _stress_command
 
 if TYPE_CHECKING:
     from .frame import Frame
@@ -147,6 +149,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_compare(commands)
     _add_techniques(commands)
     _add_demo(commands)
+    _stress_command.add(commands)
     return parser
 
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from threading import Lock
 from typing import Any, Generic, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+
+from .diagnostics import Diagnostics
 
 Floats: TypeAlias = NDArray[np.float32] | NDArray[np.float64]
 _T = TypeVar("_T")
@@ -41,6 +43,8 @@ class Stats:
     """How much work each shortcut avoided, by the shortcut's name."""
     backend: str
     threads: int
+    diagnostics: dict[str, int] = field(default_factory=dict)
+    """Pixels that each kind of `Frame.diagnostics` befell; empty unless it was asked for."""
 
 
 class _Cell(Generic[_T]):
@@ -69,6 +73,7 @@ _FIELDS = (
     "stats",
     "first_depth",
     "fragment_count",
+    "diagnostics",
 )
 
 
@@ -95,6 +100,8 @@ class Frame:
     first_depth : (H, W) float32, or a function that gives it
         Depth of the nearest transparent fragment, +inf where there is none.
     fragment_count : (H, W) uint32, or a function that gives it
+    diagnostics : Diagnostics, optional
+        What went wrong with each pixel's numbers, where that was asked for.
 
     Examples
     --------
@@ -119,15 +126,17 @@ class Frame:
         stats: Stats,
         first_depth: Later[NDArray[np.float32]],
         fragment_count: Later[NDArray[np.uint32]],
+        diagnostics: Diagnostics | None = None,
     ) -> None:
-        self._color = _Cell(color)
-        self._transmittance = _Cell(transmittance)
+        self._color: _Cell[Floats] = _Cell(color)
+        self._transmittance: _Cell[Floats] = _Cell(transmittance)
         self._technique = technique
         self._params = params
         self._scene_hash = _Cell(scene_hash)
         self._stats = stats
         self._first_depth = _Cell(first_depth)
         self._fragment_count = _Cell(fragment_count)
+        self._diagnostics = diagnostics or Diagnostics({}, technique, asked=diagnostics is not None)
 
     @property
     def color(self) -> Floats:
@@ -168,6 +177,11 @@ class Frame:
     def fragment_count(self) -> NDArray[np.uint32]:
         """(H, W) uint32: transparent fragments of each pixel."""
         return self._fragment_count.get()
+
+    @property
+    def diagnostics(self) -> Diagnostics:
+        """Images of what went wrong, by kind; none unless rendered with `diagnostics=True`."""
+        return self._diagnostics
 
     def replace(self, **changes: Any) -> Frame:
         """Copy with some constructor arguments changed; what nobody asked for yet stays unmade.

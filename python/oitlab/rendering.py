@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterable, Mapping
 from typing import Any, Literal
 
@@ -10,6 +11,7 @@ import numpy as np
 from . import _oitlab
 from ._convert import count, flag
 from ._convert import params as python_params
+from .diagnostics import Diagnostics
 from .fragments import Fragments
 from .frame import Frame, Stats
 from .registry import techniques
@@ -49,7 +51,8 @@ def render(
     dtype : {"float32", "float64"}
         Of `Frame.color` and `Frame.transmittance`.
     diagnostics : bool
-        Only False: per-pixel diagnostics are not available yet.
+        True fills `Frame.diagnostics`: per pixel, what overflowed, underflowed, cancelled and so on.
+        Everything is rasterised and computed once more for it; False costs nothing.
 
     Returns
     -------
@@ -117,10 +120,13 @@ def render_many(
     if not isinstance(source, Scene | Fragments):
         raise ValueError(f"source must be a Scene or Fragments, got {type(source).__name__}")
     _check_backend(backend, requested)
-    if flag(diagnostics, "diagnostics"):
-        raise ValueError("diagnostics=True is not available yet; leave it False")
+    diagnosed = flag(diagnostics, "diagnostics")
     options = _threads(threads), flag(skip, "skip"), _is_float64(dtype)
-    return [_frame(raw) for raw in _oitlab.render(source._handle, requested, *options)]
+    frames = [_frame(raw) for raw in _oitlab.render(source._handle, requested, *options)]
+    if not diagnosed:
+        return frames
+    found = _oitlab.diagnose(source._handle, requested, options[0])
+    return [_diagnosed(frame, images) for frame, images in zip(frames, found, strict=True)]
 
 
 def capture(scene: Scene, *, threads: int | None = None) -> Fragments:
@@ -185,6 +191,12 @@ def _is_float64(dtype: Any) -> bool:
     if name not in ("float32", "float64"):
         raise ValueError(f"dtype must be 'float32' or 'float64', got {dtype!r}")
     return name == "float64"
+
+
+def _diagnosed(frame: Frame, images: dict[str, Any]) -> Frame:
+    diagnostics = Diagnostics(images, frame.technique)
+    stats = dataclasses.replace(frame.stats, diagnostics=diagnostics.pixels)
+    return frame.replace(stats=stats, diagnostics=diagnostics)
 
 
 def _frame(raw: _oitlab.Frame) -> Frame:

@@ -18,6 +18,7 @@ pub mod oracle;
 pub mod placed;
 pub mod polyline;
 pub mod range;
+pub mod ringing;
 pub mod rounded_steps;
 pub mod samples;
 pub mod scaled;

@@ -2,6 +2,7 @@
 //! (sheet 0.3). They differ in the basis that T̂ is written in, and in nothing else.
 
 use super::sums::{BlendSums, blend};
+use crate::diagnosis::{Diagnosis, Faults};
 use crate::fragments::{Fragment, List};
 use crate::params::{Kind, ParamSpec, Params, Value};
 use crate::technique::{Cost, DepthComplexity, Pixel, Properties, Resolved, Technique};
@@ -106,6 +107,16 @@ pub trait Oracle: Send + Sync + 'static {
     /// T̂(∞).
     fn total(&self, map: &Self::Map) -> f64;
 
+    /// What can go wrong with the map's numbers, as far as it is looked for.
+    fn faults(&self) -> Faults {
+        Faults::NONE
+    }
+
+    /// What went wrong with a pixel's map, once it is built.
+    fn diagnose(&self, _map: &Self::Map, _list: List<'_>) -> Diagnosis {
+        Diagnosis::CLEAR
+    }
+
     /// The modelled cost, both passes together.
     fn cost(&self, complexity: &DepthComplexity) -> Cost;
 
@@ -158,6 +169,15 @@ impl<O: Oracle> Technique for TwoPass<O> {
     fn transmittance(&self, pixel: &Pixel<'_>, depths: &[f32], map: &mut O::Map) -> Option<Vec<f64>> {
         self.oracle.build(pixel, map);
         Some(depths.iter().map(|&depth| self.oracle.at(map, depth)).collect())
+    }
+
+    fn faults(&self) -> Faults {
+        self.oracle.faults()
+    }
+
+    fn diagnose(&self, pixel: &Pixel<'_>, map: &mut O::Map) -> Diagnosis {
+        self.oracle.build(pixel, map);
+        self.oracle.diagnose(map, pixel.list)
     }
 
     fn cost(&self, complexity: &DepthComplexity) -> Cost {

@@ -1,7 +1,9 @@
 //! A blended technique whose targets are of other formats than its default: resolved from lists.
 
 use super::stored_sums::Recipe;
+use super::stored_sums::diagnose::{diagnose, faults};
 use super::sums::Blended;
+use crate::diagnosis::{Diagnosis, Faults};
 use crate::technique::{AnyTechnique, Cost, DepthComplexity, Pixel, Properties, Resolved, Technique};
 
 /// A blended technique and how its sums are stored.
@@ -41,5 +43,13 @@ impl<T: Technique + Blended> Technique for Stored<T> {
 
     fn properties(&self) -> Properties {
         self.recipe.properties(Technique::properties(&self.technique))
+    }
+
+    fn faults(&self) -> Faults {
+        faults(&self.technique, self.recipe)
+    }
+
+    fn diagnose(&self, pixel: &Pixel<'_>, _weights: &mut Vec<f64>) -> Diagnosis {
+        diagnose(&self.technique, self.recipe, pixel.list)
     }
 }

@@ -393,5 +393,6 @@ impl StoredSums {
     }
 }
 
+pub mod diagnose;
 #[cfg(test)]
 mod tests;

@@ -208,6 +208,11 @@ pub trait Blended: Send + Sync {
         None
     }
 
+    /// Whether Σ a is subtracted from 1, so that digits cancel.
+    fn subtracts_alpha(&self) -> bool {
+        false
+    }
+
     /// The pixel's colour from its sums.
     fn finish(&self, sums: &Sums, background: DVec3) -> Resolved;
 

@@ -20,7 +20,7 @@ mod extension {
     #[pymodule_export]
     use super::frame::PyFrame;
     #[pymodule_export]
-    use super::run::{capture, cost, order_sensitivity, render, techniques, transmittance};
+    use super::run::{capture, cost, diagnose, order_sensitivity, render, techniques, transmittance};
     #[pymodule_export]
     use super::scene::{PyCamera, PyMesh, PyScene};
 

@@ -52,6 +52,14 @@ impl AnySource {
             Self::Fragments(fragments) => Self::Fragments(Arc::clone(fragments)),
         }
     }
+    /// Rows and columns of the image.
+    fn shape(&self) -> [usize; 2] {
+        let (height, width) = match self {
+            Self::Scene(scene) => (scene.height(), scene.width()),
+            Self::Fragments(fragments) => (fragments.height, fragments.width),
+        };
+        [height as usize, width as usize]
+    }
     /// Depth of the first fragment and number of fragments, per pixel.
     pub fn depth_images(&self, py: Python<'_>) -> PyResult<core::DepthImages> {
         let shared = self.share();
@@ -136,6 +144,37 @@ pub fn render<'py>(
         run(shared.as_source(), &requests, &options, stop)
     })?;
     Ok(frames.into_iter().map(|frame| PyFrame::new(frame, source.share())).collect())
+}
+
+/// What went wrong with each pixel's numbers, one dict of images per variant.
+#[pyfunction]
+pub fn diagnose<'py>(
+    py: Python<'py>,
+    source: &Bound<'py, PyAny>,
+    variants: Vec<(String, Bound<'py, PyDict>)>,
+    threads: Option<i64>,
+) -> PyResult<Vec<Bound<'py, PyDict>>> {
+    let source = AnySource::extract(source)?;
+    let requests: Vec<Request> =
+        variants.into_iter().map(|(id, params)| Ok((id, inputs(&params)?))).collect::<PyResult<_>>()?;
+    let options = options(threads, true)?;
+    let shape = source.shape();
+    let found = interruptible(py, move |stop| core::diagnose(source.as_source(), &requests, &options, stop))?;
+    let dict = |diagnostics: core::Diagnostics| {
+        let dict = PyDict::new(py);
+        for (fault, amounts) in diagnostics.images {
+            let image = if fault.is_count() {
+                #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "counts")]
+                let counts = amounts.into_iter().map(|amount| amount as u32).collect();
+                PyArray1::from_vec(py, counts).reshape(shape)?.into_any()
+            } else {
+                PyArray1::from_vec(py, amounts).reshape(shape)?.into_any()
+            };
+            dict.set_item(fault.name(), image)?;
+        }
+        Ok(dict)
+    };
+    found.into_iter().map(dict).collect()
 }
 
 /// The fragments of every pixel of a scene.

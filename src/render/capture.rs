@@ -42,7 +42,7 @@ fn band(raster: &Raster<'_>, row: usize, stop: &(dyn Fn() -> bool + Sync)) -> (L
 }
 
 /// One tile; without fragments when stopped on the way.
-fn tile(
+pub(super) fn tile(
     raster: &Raster<'_>,
     place: (usize, usize),
     stop: &(dyn Fn() -> bool + Sync),

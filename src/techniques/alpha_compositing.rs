@@ -1,7 +1,9 @@
 //! Alpha compositing (Porter & Duff 1984): the blend unit's `over`, in submission order.
 
+use crate::diagnosis::{Diagnosis, Fault, Faults, rounding};
 use crate::error::Result;
 use crate::format::{Format, Formats, Target};
+use crate::fragments::List;
 use crate::params::{Params, View};
 use crate::technique::{
     AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties, Resolved, Streamed, Technique,
@@ -81,6 +83,14 @@ impl Technique for AlphaCompositing {
         Cost { geometry_passes: 1.0, bytes_per_pixel: 16.0 }
     }
 
+    fn faults(&self) -> Faults {
+        faults(Format::F32)
+    }
+
+    fn diagnose(&self, pixel: &Pixel<'_>, (): &mut ()) -> Diagnosis {
+        diagnose(Format::F32, [0.0; 3], pixel.list)
+    }
+
     fn properties(&self) -> Properties {
         self.properties
     }
@@ -93,6 +103,49 @@ struct Framebuffer {
     properties: Properties,
 }
 
+/// The factor of what is behind: float32 but where nothing is rounded to less.
+fn behind(format: Format, alpha: f32) -> f64 {
+    if format == Format::F64 { 1.0 - f64::from(alpha) } else { f64::from(1.0 - alpha) }
+}
+
+fn blend(format: Format, target: &mut [f64; 3], color: [f32; 3], alpha: f32) {
+    for (stored, source) in target.iter_mut().zip(color) {
+        *stored = format.blend(*stored, behind(format, alpha), source.into());
+    }
+    format.round_texel(target);
+}
+
+/// What can go wrong in a framebuffer of that format.
+fn faults(format: Format) -> Faults {
+    Faults::of_format(format).and(&[Fault::Stagnation])
+}
+
+/// What goes wrong in one.
+fn diagnose(format: Format, mut target: [f64; 3], list: List<'_>) -> Diagnosis {
+    /// Changes so much smaller than what is there are none: a layer of the colour that it covers makes no other.
+    const NO_CHANGE: f64 = 1e-12;
+    let mut found = Diagnosis::CLEAR;
+    for (&color, &alpha) in list.color.iter().zip(list.alpha) {
+        let before = target;
+        blend(format, &mut target, color, alpha);
+        let channels = before.into_iter().zip(target).zip(color);
+        let befell = channels.fold(Faults::NONE, |faults, ((before, after), source)| {
+            if !before.is_finite() {
+                return faults;
+            }
+            let exact = before * behind(format, alpha) + f64::from(source);
+            let stuck = before == after && before != 0.0 && (exact - before).abs() > NO_CHANGE * before;
+            let rounded = rounding(format, exact, after);
+            // what meets the end of a format is not too small to be seen
+            let stagnates = stuck && !rounded.has(Fault::Saturation);
+            faults.union(if stagnates { rounded.and(&[Fault::Stagnation]) } else { rounded })
+        });
+        found.count_all(befell);
+    }
+    target.iter().filter(|x| !x.is_finite()).for_each(|_| found.count(Fault::NonFinite));
+    found
+}
+
 impl Technique for Framebuffer {
     type Scratch = ();
 
@@ -100,13 +153,8 @@ impl Technique for Framebuffer {
         let format = self.format;
         let (mut target, mut transmittance) = (pixel.background.to_array(), 1.0);
         format.round_texel(&mut target);
-        for (color, &alpha) in pixel.list.color.iter().zip(pixel.list.alpha) {
-            // blend factors are float32 but where nothing is rounded to less
-            let behind = if format == Format::F64 { 1.0 - f64::from(alpha) } else { f64::from(1.0 - alpha) };
-            for (stored, &source) in target.iter_mut().zip(color) {
-                *stored = format.blend(*stored, behind, source.into());
-            }
-            format.round_texel(&mut target);
+        for (&color, &alpha) in pixel.list.color.iter().zip(pixel.list.alpha) {
+            blend(format, &mut target, color, alpha);
             transmittance *= 1.0 - f64::from(alpha);
         }
         let largest = DVec3::splat(f32::MAX.into());
@@ -115,6 +163,16 @@ impl Technique for Framebuffer {
 
     fn cost(&self, _complexity: &DepthComplexity) -> Cost {
         Cost { geometry_passes: 1.0, bytes_per_pixel: self.bytes }
+    }
+
+    fn faults(&self) -> Faults {
+        faults(self.format)
+    }
+
+    fn diagnose(&self, pixel: &Pixel<'_>, (): &mut ()) -> Diagnosis {
+        let mut background = pixel.background.to_array();
+        self.format.round_texel(&mut background);
+        diagnose(self.format, background, pixel.list)
     }
 
     fn properties(&self) -> Properties {
@@ -129,9 +187,12 @@ impl Technique for Framebuffer {
 
 #[cfg(test)]
 mod tests {
+    use crate::diagnosis::Fault;
     use crate::fragments::Fragment;
     use crate::params::Input;
-    use crate::techniques::testing::{F32_STATE, assert_close, fragment, over, resolve, three_layers};
+    use crate::techniques::testing::{
+        F32_STATE, as_pixel, assert_close, build, fragment, over, resolve, three_layers,
+    };
     use glam::DVec3;
 
     #[test]
@@ -207,5 +268,25 @@ mod tests {
         assert_close(sorted, color, transmittance, F32_STATE);
         let worst = resolve("alpha_compositing", &order("sorted"), &fragments);
         assert!((worst.color - color).abs().max_element() > 0.3, "{worst:?}");
+    }
+
+    /// A faint layer over white changes 8 bits by less than half a step; one of 7e4 is no half; 1.5 is beyond 8 bits.
+    #[test]
+    fn diagnoses_by_hand() {
+        let found = |format: &str, pixel: &[Fragment]| {
+            let technique = build("alpha_compositing", &[("format", Input::Text(format.into()))]).unwrap();
+            let diagnosis = as_pixel(pixel, |pixel| technique.diagnose(pixel));
+            let amounts = technique.faults().iter().map(|fault| (fault, diagnosis.amount(fault)));
+            amounts.filter(|(_, amount)| *amount > 0.0).collect::<Vec<_>>()
+        };
+        let white = fragment(5.0, [1.0; 3], 1.0, 0);
+        let faint = fragment(4.0, [0.0; 3], 1.0 / 512.0, 1);
+        assert_eq!(found("unorm8", &[white, faint, faint]), [(Fault::Stagnation, 2.0)]);
+        assert_eq!(found("f16", &[white, faint, faint]), []);
+        let bright = fragment(5.0, [7e4, 1.0, 1.0], 1.0, 0);
+        assert_eq!(found("f16", &[bright, faint]), [(Fault::Overflow, 1.0), (Fault::NonFinite, 1.0)]);
+        assert_eq!(found("f32", &[bright, faint]), []);
+        assert_eq!(found("unorm8", &[fragment(5.0, [1.5; 3], 1.0, 0)]), [(Fault::Saturation, 1.0)]);
+        assert_eq!(found("unorm8", &[white, white]), []);
     }
 }

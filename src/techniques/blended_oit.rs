@@ -2,7 +2,9 @@
 
 use crate::continuum::stored::Stored;
 use crate::continuum::stored_sums::Recipe;
+use crate::continuum::stored_sums::diagnose::{diagnose, faults};
 use crate::continuum::sums::{Blended, Sums, SumsOf};
+use crate::diagnosis::{Diagnosis, Faults};
 use crate::error::Result;
 use crate::format::{FormatSet, Formats, SUMMATION, Summation, Target};
 use crate::params::{Params, View};
@@ -76,6 +78,14 @@ impl Technique for BlendedOit {
 
     fn properties(&self) -> Properties {
         BLENDED
+    }
+
+    fn faults(&self) -> Faults {
+        faults(self, Recipe::SINGLE)
+    }
+
+    fn diagnose(&self, pixel: &Pixel<'_>, _weights: &mut Vec<f32>) -> Diagnosis {
+        diagnose(self, Recipe::SINGLE, pixel.list)
     }
 }
 

@@ -5,8 +5,10 @@ use crate::continuum::absorbance::{
 };
 use crate::continuum::oracle::{CHUNK, Composite, Oracle, chunks, see_one};
 use crate::continuum::range::{DepthRange, Interval};
+use crate::continuum::ringing::{RINGS, exp_minus, ringing};
 use crate::continuum::series::{LANES, Lanes, Rotor, blocks, half_turns, harmonics, project, sum};
 use crate::continuum::stored_oracle::{COEFFICIENTS, StoredOracle, technique};
+use crate::diagnosis::{Diagnosis, Faults};
 use crate::error::Result;
 use crate::format::{Formats, SUMMATION, Target};
 use crate::fragments::{Fragment, List};
@@ -121,6 +123,18 @@ impl FourierOpacityMaps {
         phases.iter_mut().for_each(|phase| *phase = self.phase(*phase));
     }
 
+    /// τ in front of each fragment, of the others alone if that is asked for; rings, also below zero.
+    fn taus(&self, map: &Map, list: List<'_>, seen: &mut [f64]) {
+        let (mut phases, mut s, mut taus) = ([0.0; CHUNK], [0.0; CHUNK], [[0.0; LANES]; CHUNK / LANES]);
+        self.phases(map, list.depth, &mut phases);
+        if self.self_correct {
+            absorbances(list.alpha, self.s_max, &mut s);
+        }
+        let used = list.len().next_multiple_of(LANES);
+        taus_of_others(map.total, &map.harmonics, blocks(&phases[..used]), blocks(&s), &mut taus);
+        seen.copy_from_slice(&taus.as_flattened()[..list.len()]);
+    }
+
     /// `σ_k` for k = 1..=K.
     #[expect(clippy::cast_precision_loss, reason = "frequencies are held in memory")]
     fn sigma(&self) -> impl Iterator<Item = f64> {
@@ -193,14 +207,7 @@ impl Oracle for FourierOpacityMaps {
     }
 
     fn see(&self, map: &Map, list: List<'_>, seen: &mut [f64]) {
-        let (mut phases, mut s, mut taus) = ([0.0; CHUNK], [0.0; CHUNK], [[0.0; LANES]; CHUNK / LANES]);
-        self.phases(map, list.depth, &mut phases);
-        if self.self_correct {
-            absorbances(list.alpha, self.s_max, &mut s);
-        }
-        let used = list.len().next_multiple_of(LANES);
-        taus_of_others(map.total, &map.harmonics, blocks(&phases[..used]), blocks(&s), &mut taus);
-        seen.copy_from_slice(&taus.as_flattened()[..list.len()]);
+        self.taus(map, list, seen);
         transmittances(seen);
     }
 
@@ -210,6 +217,14 @@ impl Oracle for FourierOpacityMaps {
 
     fn total(&self, map: &Map) -> f64 {
         transmittance(map.total)
+    }
+
+    fn faults(&self) -> Faults {
+        RINGS
+    }
+
+    fn diagnose(&self, map: &Map, list: List<'_>) -> Diagnosis {
+        ringing(list, |part, seen| exp_minus(seen, |taus| self.taus(map, part, taus)), |z| self.at(map, z))
     }
 
     #[expect(clippy::cast_precision_loss, reason = "a cost estimate")]

@@ -3,6 +3,7 @@
 
 use crate::continuum::stored_sums::{Recipe, StoredSums};
 use crate::continuum::sums::{BlendSums, Sums, blend};
+use crate::diagnosis::{Diagnosis, Faults};
 use crate::error::Result;
 use crate::format::{Format, FormatSet, Formats, SUMMATION, Summation, Target};
 use crate::fragments::List;
@@ -138,6 +139,15 @@ impl Weight {
         weight.min(LARGEST)
     }
 
+    /// As the sums want it.
+    fn stored_at(self, recipe: Recipe, depth: f32) -> f64 {
+        match (recipe.summation.is_scaled(), recipe.rgb) {
+            (true, _) => self.log2_at(depth),
+            (false, Format::F64) => self.at_f64(depth),
+            (false, _) => f64::from(self.at(depth)),
+        }
+    }
+
     /// log2 w: where the exponential underflows, too.
     fn log2_at(self, depth: f32) -> f64 {
         match self {
@@ -180,14 +190,9 @@ impl WeightedSumRendering {
 
     fn stored_sums(&self, recipe: Recipe, depth: Format, list: List<'_>) -> StoredSums {
         let weight = self.weight.for_pixel(list, depth);
-        let at = |z| match (recipe.summation.is_scaled(), recipe.rgb) {
-            (true, _) => weight.log2_at(z),
-            (false, Format::F64) => weight.at_f64(z),
-            (false, _) => f64::from(weight.at(z)),
-        };
         let mut sums = StoredSums::CLEAR;
         for fragment in list.iter() {
-            sums.add(recipe, at(fragment.depth), fragment.color, fragment.alpha);
+            sums.add(recipe, weight.stored_at(recipe, fragment.depth), fragment.color, fragment.alpha);
         }
         sums
     }
@@ -210,6 +215,32 @@ impl Technique for WeightedSumRendering {
         }
         let blended = blend(sums.color / total, 1.0, self.background_weight / total, pixel.background);
         Resolved { dropped: saturated.into(), ..blended }
+    }
+
+    fn faults(&self) -> Faults {
+        self.stored.map_or(Recipe::SINGLE, |(recipe, _)| recipe).faults()
+    }
+
+    fn diagnose(&self, pixel: &Pixel<'_>, (): &mut ()) -> Diagnosis {
+        let (recipe, depth) = self.stored.unwrap_or((Recipe::SINGLE, Format::F64));
+        let weight = self.weight.for_pixel(pixel.list, depth);
+        let (mut sums, mut found) = (StoredSums::CLEAR, Diagnosis::CLEAR);
+        // where linear ends, 0 is what the formula says
+        let counts = |z| !matches!(weight, Weight::Linear { .. }) || weight.at_f64(z) > 0.0;
+        for f in pixel.list.iter().filter(|f| counts(f.depth)) {
+            // the share R is nobody's target here
+            sums.add_watched(
+                recipe,
+                weight.stored_at(recipe, f.depth),
+                f.color,
+                f.alpha,
+                0.0,
+                1.0,
+                &mut found,
+            );
+        }
+        sums.read_watched(recipe, &mut found);
+        found
     }
 
     fn cost(&self, _complexity: &DepthComplexity) -> Cost {

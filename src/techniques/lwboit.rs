@@ -10,6 +10,7 @@ use crate::continuum::normalize::{Core, sums_of_all};
 use crate::continuum::oracle::{CHUNK, chunks};
 use crate::continuum::range::DepthRange;
 use crate::continuum::sums::BlendSums;
+use crate::diagnosis::{Diagnosis, Faults};
 use crate::error::Result;
 use crate::fragments::{List, Lists};
 use crate::params::{Kind, ParamSpec, Params, Value, View};
@@ -406,6 +407,14 @@ impl Technique for LayeredWboit {
         let resolved = Resolved { dropped, ..self.composite(&layers, rounded, pixel.background) };
         scratch.nodes = nodes;
         resolved
+    }
+
+    fn faults(&self) -> Faults {
+        self.storing.faults()
+    }
+
+    fn diagnose(&self, pixel: &Pixel<'_>, scratch: &mut Scratch) -> Diagnosis {
+        self.diagnose_stored(self.kept(pixel.list), scratch)
     }
 
     #[expect(clippy::cast_precision_loss, reason = "a cost estimate")]

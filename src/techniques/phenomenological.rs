@@ -2,8 +2,10 @@
 //! background in colour.
 
 use super::blended_oit::BLENDED;
+use crate::continuum::stored_sums::diagnose::diagnose_weighted;
 use crate::continuum::stored_sums::{FixedLog, Recipe, StoredSums};
 use crate::continuum::sums::{BlendSums, Sums};
+use crate::diagnosis::{Diagnosis, Fault, Faults};
 use crate::error::Result;
 use crate::format::{Format, FormatSet, Formats, SUMMATION, Summation, Target};
 use crate::fragments::List;
@@ -198,9 +200,29 @@ impl Phenomenological {
         sums
     }
 
+    /// How the sums are stored, with the format of the background's share for that of R.
+    fn recipe_with_share(&self) -> Recipe {
+        let stored = self.stored.map(|(recipe, format)| Recipe { revealage: format, ..recipe });
+        stored.unwrap_or(Recipe::SINGLE)
+    }
+
     /// What the sum of colours is divided by.
     fn divisor(&self, sums: &Sums) -> f64 {
         if sums.alpha > 0.0 { sums.alpha.max(self.divisor_floor) } else { 0.0 }
+    }
+}
+
+/// What went wrong with one channel of the background's share.
+fn diagnose_share(recipe: Recipe, alphas: &[f32], transmission: f64, found: &mut Diagnosis) {
+    let mut share = StoredSums::CLEAR;
+    for &alpha in alphas {
+        let coverage = f64::from(alpha) * (1.0 - transmission);
+        // of no colour and alpha: but for R there is nothing to go wrong
+        share.add_watched(recipe, recipe.one(), [0.0; 3], 0.0, coverage, 1.0 - coverage, found);
+    }
+    let (covers, format) = (alphas.iter().any(|alpha| *alpha > 0.0), recipe.revealage);
+    if covers && transmission < 1.0 && recipe.faults().has(Fault::Cancellation) {
+        found.cancel(1.0, share.read(recipe).transmittance, format);
     }
 }
 
@@ -222,6 +244,24 @@ impl Technique for Phenomenological {
         let sums = self.accumulate(pixel, scratch).read(pixel.list.len());
         let modulation = Modulation::by(pixel.list.alpha, self.transmission);
         modulation.cover(sums.color, self.divisor(&sums), pixel.background)
+    }
+
+    fn faults(&self) -> Faults {
+        self.recipe_with_share().faults()
+    }
+
+    fn diagnose(&self, pixel: &Pixel<'_>, scratch: &mut Scratch) -> Diagnosis {
+        let recipe = self.recipe_with_share();
+        let Scratch { alpha, stored_weights, .. } = scratch;
+        self.thin(pixel.list, alpha);
+        recipe.weigh(Some(&self.weighting), pixel.list.depth, alpha, stored_weights);
+        // R beside the sums is nobody's target here
+        let sums = Recipe { revealage: Format::F64, ..recipe };
+        let (mut found, _) = diagnose_weighted(sums, stored_weights, List { alpha, ..pixel.list });
+        for transmission in self.transmission.to_array() {
+            diagnose_share(recipe, pixel.list.alpha, transmission, &mut found);
+        }
+        found
     }
 
     fn cost(&self, _complexity: &DepthComplexity) -> Cost {

@@ -6,8 +6,10 @@ use crate::continuum::absorbance::{
 };
 use crate::continuum::oracle::{CHUNK, Composite, Oracle, chunks, see_one};
 use crate::continuum::range::{DepthRange, Interval};
+use crate::continuum::ringing::{RINGS, exp_minus, ringing};
 use crate::continuum::series::{LANES, Lanes, Rotor, blocks, half_turns, harmonics, project, sum};
 use crate::continuum::stored_oracle::{COEFFICIENTS, StoredOracle, technique};
+use crate::diagnosis::{Diagnosis, Faults};
 use crate::error::Result;
 use crate::format::{Format, Formats, SUMMATION, Target};
 use crate::fragments::{Fragment, List};
@@ -189,6 +191,18 @@ impl Extinction {
             s_max: params.float("s_max"),
         }
     }
+
+    /// τ in front of each fragment, of the others alone if that is asked for; rings, also below zero.
+    fn taus(&self, map: &Map, list: List<'_>, seen: &mut [f64]) {
+        let (mut phases, mut s, mut taus) = ([0.0; CHUNK], [0.0; CHUNK], [[0.0; LANES]; CHUNK / LANES]);
+        map.phases(list.depth, &mut phases);
+        if self.self_correct {
+            absorbances(list.alpha, self.s_max, &mut s);
+        }
+        let used = list.len().next_multiple_of(LANES);
+        taus_of_others(map.mean, &map.cosines, blocks(&phases[..used]), blocks(&s), &mut taus);
+        seen.copy_from_slice(&taus.as_flattened()[..list.len()]);
+    }
 }
 
 impl Oracle for Extinction {
@@ -211,14 +225,7 @@ impl Oracle for Extinction {
     }
 
     fn see(&self, map: &Map, list: List<'_>, seen: &mut [f64]) {
-        let (mut phases, mut s, mut taus) = ([0.0; CHUNK], [0.0; CHUNK], [[0.0; LANES]; CHUNK / LANES]);
-        map.phases(list.depth, &mut phases);
-        if self.self_correct {
-            absorbances(list.alpha, self.s_max, &mut s);
-        }
-        let used = list.len().next_multiple_of(LANES);
-        taus_of_others(map.mean, &map.cosines, blocks(&phases[..used]), blocks(&s), &mut taus);
-        seen.copy_from_slice(&taus.as_flattened()[..list.len()]);
+        self.taus(map, list, seen);
         transmittances(seen);
     }
 
@@ -228,6 +235,14 @@ impl Oracle for Extinction {
 
     fn total(&self, map: &Map) -> f64 {
         transmittance(map.mean)
+    }
+
+    fn faults(&self) -> Faults {
+        RINGS
+    }
+
+    fn diagnose(&self, map: &Map, list: List<'_>) -> Diagnosis {
+        ringing(list, |part, seen| exp_minus(seen, |taus| self.taus(map, part, taus)), |z| self.at(map, z))
     }
 
     fn cost(&self, _complexity: &DepthComplexity) -> Cost {
@@ -319,6 +334,18 @@ impl Oracle for Curve {
 
     fn total(&self, map: &Map) -> f64 {
         map.value(1.0).clamp(0.0, 1.0)
+    }
+
+    fn faults(&self) -> Faults {
+        RINGS
+    }
+
+    fn diagnose(&self, map: &Map, list: List<'_>) -> Diagnosis {
+        let value = |depth: f32| map.value(map.interval.position(depth));
+        let values = |part: List<'_>, seen: &mut [f64]| {
+            seen.iter_mut().zip(part.depth).for_each(|(seen, &depth)| *seen = value(depth));
+        };
+        ringing(list, values, |z| self.at(map, z))
     }
 
     fn cost(&self, _complexity: &DepthComplexity) -> Cost {

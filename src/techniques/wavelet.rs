@@ -5,7 +5,9 @@ use crate::continuum::absorbance::{
 };
 use crate::continuum::oracle::{CHUNK, Composite, Oracle, chunks, see_one};
 use crate::continuum::range::{DepthRange, Interval, cell};
+use crate::continuum::ringing::{RINGS, exp_minus, ringing};
 use crate::continuum::stored_oracle::{COEFFICIENTS, StoredOracle, technique};
+use crate::diagnosis::{Diagnosis, Faults};
 use crate::error::Result;
 use crate::format::{Formats, SUMMATION, Target};
 use crate::fragments::{Fragment, List};
@@ -161,6 +163,20 @@ impl Wavelet {
         let before = if leaf == 0 { 0.0 } else { map.leaf(leaf - 1) };
         (1.0 - fraction) * before + fraction * map.leaf(leaf)
     }
+
+    /// τ in front of each fragment, of the others alone if that is asked for; rings, also below zero.
+    fn taus(&self, map: &Map, list: List<'_>, seen: &mut [f64]) {
+        let mut own = [0.0; CHUNK];
+        map.interval.positions(list.depth, seen);
+        if self.self_correct {
+            absorbances(list.alpha, self.s_max, &mut own);
+        }
+        for (seen, own) in seen.iter_mut().zip(own) {
+            let place = self.place(*seen);
+            // a step's own leaf is (1 − f) of it, of which the interpolation takes f
+            *seen = Self::tau(map, place) - own * place.1 * (1.0 - place.1);
+        }
+    }
 }
 
 impl Oracle for Wavelet {
@@ -186,16 +202,7 @@ impl Oracle for Wavelet {
     }
 
     fn see(&self, map: &Map, list: List<'_>, seen: &mut [f64]) {
-        let mut own = [0.0; CHUNK];
-        map.interval.positions(list.depth, seen);
-        if self.self_correct {
-            absorbances(list.alpha, self.s_max, &mut own);
-        }
-        for (seen, own) in seen.iter_mut().zip(own) {
-            let place = self.place(*seen);
-            // a step's own leaf is (1 − f) of it, of which the interpolation takes f
-            *seen = Self::tau(map, place) - own * place.1 * (1.0 - place.1);
-        }
+        self.taus(map, list, seen);
         transmittances(seen);
     }
 
@@ -205,6 +212,14 @@ impl Oracle for Wavelet {
 
     fn total(&self, map: &Map) -> f64 {
         transmittance(map.leaf(self.leaves() - 1))
+    }
+
+    fn faults(&self) -> Faults {
+        RINGS
+    }
+
+    fn diagnose(&self, map: &Map, list: List<'_>) -> Diagnosis {
+        ringing(list, |part, seen| exp_minus(seen, |taus| self.taus(map, part, taus)), |z| self.at(map, z))
     }
 
     #[expect(clippy::cast_precision_loss, reason = "a cost estimate")]

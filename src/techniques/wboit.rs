@@ -3,7 +3,9 @@
 use super::blended_oit::BLENDED;
 use crate::continuum::stored::Stored;
 use crate::continuum::stored_sums::Recipe;
+use crate::continuum::stored_sums::diagnose::{diagnose, faults};
 use crate::continuum::sums::{Blended, Sums, SumsOf, finish_each};
+use crate::diagnosis::{Diagnosis, Faults};
 use crate::error::Result;
 use crate::format::{FormatSet, Formats, SUMMATION, Summation, Target};
 use crate::params::{Kind, ParamSpec, Params, Value, View};
@@ -148,6 +150,14 @@ impl Technique for Wboit {
             return BLENDED;
         }
         Properties { exact_for_one: false, exact_for_one_color: false, ..BLENDED }
+    }
+
+    fn faults(&self) -> Faults {
+        faults(self, Recipe::SINGLE)
+    }
+
+    fn diagnose(&self, pixel: &Pixel<'_>, _weights: &mut Vec<f32>) -> Diagnosis {
+        diagnose(self, Recipe::SINGLE, pixel.list)
     }
 }
 

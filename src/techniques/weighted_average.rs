@@ -2,7 +2,9 @@
 
 use crate::continuum::stored::Stored;
 use crate::continuum::stored_sums::Recipe;
+use crate::continuum::stored_sums::diagnose::{diagnose, faults};
 use crate::continuum::sums::{Blended, Sums};
+use crate::diagnosis::{Diagnosis, Faults};
 use crate::error::Result;
 use crate::format::{FormatSet, Formats, SUMMATION, Summation, Target};
 use crate::params::{Params, View};
@@ -75,6 +77,14 @@ impl Technique for WeightedAverage {
 
     fn properties(&self) -> Properties {
         Properties { order_independent: true, exact_for_one: true, ..Properties::NONE }
+    }
+
+    fn faults(&self) -> Faults {
+        faults(self, Recipe::SINGLE)
+    }
+
+    fn diagnose(&self, pixel: &Pixel<'_>, _weights: &mut Vec<f32>) -> Diagnosis {
+        diagnose(self, Recipe::SINGLE, pixel.list)
     }
 }
 

@@ -2,7 +2,9 @@
 
 use crate::continuum::stored::Stored;
 use crate::continuum::stored_sums::Recipe;
+use crate::continuum::stored_sums::diagnose::{diagnose, faults};
 use crate::continuum::sums::{Blended, Sums};
+use crate::diagnosis::{Diagnosis, Faults};
 use crate::error::Result;
 use crate::format::{FormatSet, Formats, SUMMATION, Summation, Target};
 use crate::params::{Params, View};
@@ -50,6 +52,10 @@ fn build(params: &Params, _view: &View) -> Result<Box<dyn AnyTechnique>> {
 pub(super) struct WeightedSum;
 
 impl Blended for WeightedSum {
+    fn subtracts_alpha(&self) -> bool {
+        true
+    }
+
     /// MB13 eq. 3, Listing 1.
     fn finish(&self, sums: &Sums, background: DVec3) -> Resolved {
         let transmittance = 1.0 - sums.alpha;
@@ -74,6 +80,14 @@ impl Technique for WeightedSum {
 
     fn properties(&self) -> Properties {
         Properties { order_independent: true, exact_for_one: true, ..Properties::NONE }
+    }
+
+    fn faults(&self) -> Faults {
+        faults(self, Recipe::SINGLE)
+    }
+
+    fn diagnose(&self, pixel: &Pixel<'_>, _weights: &mut Vec<f32>) -> Diagnosis {
+        diagnose(self, Recipe::SINGLE, pixel.list)
     }
 }
 

@@ -34,6 +34,9 @@ pub trait Basis: Send + Sync + 'static {
     /// Makes moments, given the mean value of each function, ready to be asked.
     fn prepare(&self, means: &[f64; MAX_STORED]) -> Self::Moments;
 
+    /// How often the bias had to be raised for a matrix that is positive definite beyond rounding.
+    fn retries(moments: &Self::Moments) -> u32;
+
     /// Adds each function at `d`, weighted with it, of at most [`CHUNK`] fragments in single precision.
     fn add(&self, d: &[f64], s: &[f64], sums: &mut [f32; MAX_STORED]);
 

@@ -6,7 +6,9 @@ use crate::continuum::absorbance::{absorbance, absorbances, transmittance, trans
 use crate::continuum::functions::ln;
 use crate::continuum::oracle::{CHUNK, Composite, Oracle, chunks, see_one};
 use crate::continuum::range::DepthRange;
+use crate::continuum::ringing::{RINGS, exp_minus, ringing};
 use crate::continuum::stored_oracle::{self, StoredOracle};
+use crate::diagnosis::{Diagnosis, Fault, Faults};
 use crate::format::{Format, FormatSet, Formats, Target};
 use crate::fragments::{Fragment, List};
 use crate::params::{Kind, ParamSpec, Params, Value, View};
@@ -161,6 +163,16 @@ impl<B: Basis> MomentOracle<B> {
         }
     }
 
+    /// τ in front of each fragment, as the moments have it; none where the pixel counts as empty.
+    fn taus(&self, map: &Map<B::Moments>, list: List<'_>, taus: &mut [f64]) {
+        let Some(moments) = &map.moments else { return taus.fill(0.0) };
+        let mut d = [0.0; CHUNK];
+        let d = &mut d[..list.len()];
+        map.warp.positions(list.depth, d);
+        self.basis.shares_in_front(moments, d, self.overestimation, taus);
+        taus.iter_mut().for_each(|share| *share *= map.total);
+    }
+
     /// Total absorbance, and the sum of each basis function weighted with it, as blended in single precision.
     #[expect(clippy::cast_possible_truncation, reason = "the sums are f32 targets")]
     fn sum(&self, warp: &Warp, list: List<'_>) -> (f32, [f32; MAX_STORED]) {
@@ -204,12 +216,7 @@ impl<B: Basis> Oracle for MomentOracle<B> {
     }
 
     fn see(&self, map: &Self::Map, list: List<'_>, seen: &mut [f64]) {
-        let Some(moments) = &map.moments else { return seen.fill(1.0) };
-        let mut d = [0.0; CHUNK];
-        let d = &mut d[..list.len()];
-        map.warp.positions(list.depth, d);
-        self.basis.shares_in_front(moments, d, self.overestimation, seen);
-        seen.iter_mut().for_each(|share| *share *= map.total);
+        self.taus(map, list, seen);
         transmittances(seen);
     }
 
@@ -221,6 +228,21 @@ impl<B: Basis> Oracle for MomentOracle<B> {
 
     fn total(&self, map: &Self::Map) -> f64 {
         if map.moments.is_some() { transmittance(map.total) } else { 1.0 }
+    }
+
+    fn faults(&self) -> Faults {
+        RINGS.and(&[Fault::HankelFailures, Fault::BiasRetries])
+    }
+
+    fn diagnose(&self, map: &Self::Map, list: List<'_>) -> Diagnosis {
+        let unclamped = |part: List<'_>, seen: &mut [f64]| exp_minus(seen, |taus| self.taus(map, part, taus));
+        let mut found = ringing(list, unclamped, |depth| self.at(map, depth));
+        let retries = map.moments.as_ref().map_or(0, B::retries);
+        if retries > 0 {
+            found.count(Fault::HankelFailures);
+        }
+        (0..retries).for_each(|_| found.count(Fault::BiasRetries));
+        found
     }
 
     #[expect(clippy::cast_precision_loss, reason = "a handful of targets")]
@@ -379,6 +401,22 @@ mod tests {
             });
         }
         assert!(raised.iter().all(|n| *n <= 3), "{raised:?}");
+    }
+
+    /// One layer has a singular matrix, which no bias lets pass; ten times a bias is the next.
+    #[test]
+    fn diagnoses_say_how_often_the_bias_was_raised() {
+        let layer = [fragment(2.0, [1.0; 3], 0.5, 0), fragment(6.0, [1.0; 3], 0.5, 1)];
+        for id in IDS {
+            let found = |bias| {
+                let technique = build(id, &[("bias", Input::Float(bias))]).unwrap();
+                let found = as_pixel(&layer, |pixel| technique.diagnose(pixel));
+                [Fault::HankelFailures, Fault::BiasRetries].map(|fault| found.amount(fault))
+            };
+            assert_eq!(found(1e-3), [0.0, 0.0], "{id}");
+            let [failures, retries] = found(0.0);
+            assert!(failures == 1.0 && retries >= 1.0, "{id}: {retries}");
+        }
     }
 
     /// Opaque fragments, coincident and clustered depths, and no bias but what the guard asks for.

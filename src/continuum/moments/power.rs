@@ -101,6 +101,10 @@ impl Basis for Powers {
         Hankel { moments, ldl: Some(factored.ldl), retries: factored.retries }
     }
 
+    fn retries(moments: &Hankel) -> u32 {
+        moments.retries
+    }
+
     #[expect(clippy::cast_possible_truncation, reason = "the sums are f32 targets")]
     fn add(&self, d: &[f64], s: &[f64], sums: &mut [f32; MAX_STORED]) {
         for (&d, &s) in d.iter().zip(s) {

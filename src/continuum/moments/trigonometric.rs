@@ -119,6 +119,10 @@ impl Basis for Harmonics {
         Toeplitz { moments, ldl: Some(factored.ldl), retries: factored.retries }
     }
 
+    fn retries(moments: &Toeplitz) -> u32 {
+        moments.retries
+    }
+
     #[expect(clippy::cast_possible_truncation, reason = "the sums are f32 targets")]
     fn add(&self, d: &[f64], s: &[f64], sums: &mut [f32; MAX_STORED]) {
         let mut units = [Complex::ZERO; CHUNK];

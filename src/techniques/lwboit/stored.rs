@@ -1,12 +1,13 @@
 //! Bins in other storage formats, and rounded list nodes.
 
-use super::{LayeredWboit, Sharing, Slicing, locate_all};
+use super::{LayeredWboit, Scratch, Sharing, Slicing, locate_all};
 use crate::continuum::absorbance::absorbance;
 use crate::continuum::bins::SUPPORT;
 use crate::continuum::normalize::Core;
 use crate::continuum::oracle::{CHUNK, chunks};
 use crate::continuum::stored_sums::{Recipe, StoredSums};
 use crate::continuum::sums::{BlendSums, Sums};
+use crate::diagnosis::{Diagnosis, Fault, Faults, rounding};
 use crate::format::{Format, FormatSet, Formats, SUMMATION, Summation, Target};
 use crate::fragments::{List, Lists};
 use crate::params::{ParamSpec, Params};
@@ -93,6 +94,37 @@ impl Storing {
         }
     }
 
+    /// What can go wrong with bins and nodes.
+    pub fn faults(&self) -> Faults {
+        let bins = self.recipe.unwrap_or(Recipe::SINGLE).faults();
+        let of = |(color, depth): (Format, Format)| {
+            let colors = Faults::of_format(color).union(Faults::of_format(color.of_alpha()));
+            colors.union(Faults::of_format(depth))
+        };
+        self.node.map_or(bins, |node| bins.union(of(node)))
+    }
+
+    /// What rounding does to nodes.
+    fn diagnose_nodes(&self, list: List<'_>, found: &mut Diagnosis) {
+        let Some((color, depth)) = self.node else { return };
+        for fragment in list.iter() {
+            let [r, g, b] = fragment.color.map(f64::from);
+            let exact = [r, g, b, f64::from(fragment.alpha)];
+            let mut texel = exact;
+            color.round_texel(&mut texel);
+            let z = f64::from(fragment.depth);
+            let numbers = exact.into_iter().zip(texel).enumerate();
+            let rounded = numbers.map(|(i, (x, y))| (if i < 3 { color } else { color.of_alpha() }, x, y));
+            let rounded = rounded.chain([(depth, z, depth.round(z))]);
+            let faults = rounded.map(|(format, exact, stored)| {
+                (0..usize::from(!stored.is_finite())).for_each(|_| found.count(Fault::NonFinite));
+                rounding(format, exact, stored)
+            });
+            let faults = faults.fold(Faults::NONE, Faults::union);
+            found.count_all(faults);
+        }
+    }
+
     /// The list as its nodes hold it; none where they hold it as it is.
     #[expect(clippy::cast_possible_truncation, reason = "nodes are read as f32")]
     pub fn round<'a>(&self, list: List<'_>, nodes: &'a mut Lists) -> Option<List<'a>> {
@@ -119,14 +151,21 @@ pub(super) struct StoredBins {
     /// Which of them hold something, in any order.
     touched: Vec<usize>,
     weights: Vec<f64>,
+    /// What goes wrong, where somebody wants to know.
+    found: Option<Diagnosis>,
 }
 
 impl StoredBins {
-    fn touch(&mut self, k: usize) -> &mut StoredSums {
+    /// Blends a fragment into a bin, of which it covers `coverage` and leaves `transmittance`.
+    fn add(&mut self, recipe: Recipe, k: usize, part: &Part, coverage: f64, transmittance: f64) {
         if self.bins[k] == StoredSums::CLEAR {
             self.touched.push(k);
         }
-        &mut self.bins[k]
+        let (bin, Part { weight, color, alpha }) = (&mut self.bins[k], *part);
+        match &mut self.found {
+            None => bin.add_share(recipe, weight, color, alpha, coverage, transmittance),
+            Some(found) => bin.add_watched(recipe, weight, color, alpha, coverage, transmittance, found),
+        }
     }
 
     /// FEE21 eq. 4, and whether an integer was too small.
@@ -137,7 +176,10 @@ impl StoredBins {
         for k in self.touched.drain(..) {
             let bin = std::mem::replace(&mut self.bins[k], StoredSums::CLEAR);
             saturated |= bin.saturated;
-            layers.put_sums_behind(&bin.read(recipe));
+            layers.put_sums_behind(&match &mut self.found {
+                None => bin.read(recipe),
+                Some(found) => bin.read_watched(recipe, found),
+            });
         }
         (layers, saturated)
     }
@@ -155,6 +197,7 @@ impl Core {
 }
 
 /// A fragment on its way into bins.
+#[derive(Clone, Copy)]
 struct Part {
     weight: f64,
     color: [f32; 3],
@@ -171,6 +214,18 @@ impl LayeredWboit {
         stored: &mut StoredBins,
     ) -> Option<Resolved> {
         let recipe = self.storing.recipe?;
+        self.store(recipe, list, depth, stored);
+        let (layers, saturated) = stored.under_blend(recipe);
+        let net = self.normalize.then(|| net_shares(recipe, list));
+        let resolved = match net {
+            None => layers.over(background),
+            Some(net) => layers.scale_to(&BlendSums::CLEAR, net.coverage, net.transmittance, background),
+        };
+        Some(Resolved { dropped: saturated.into(), ..resolved })
+    }
+
+    /// Blends all fragments into their bins.
+    fn store(&self, recipe: Recipe, list: List<'_>, depth: &mut Vec<f32>, stored: &mut StoredBins) {
         let slicing = self.slicing(list);
         let mut weights = std::mem::take(&mut stored.weights);
         recipe.weigh(Some(&self.weighting), self.seen_depths(list, slicing, depth), list.alpha, &mut weights);
@@ -179,13 +234,27 @@ impl LayeredWboit {
             self.store_chunk(recipe, stored, slicing, part, weights);
         }
         stored.weights = weights;
-        let (layers, saturated) = stored.under_blend(recipe);
-        let net = self.normalize.then(|| net_shares(recipe, list));
-        let resolved = match net {
-            None => layers.over(background),
-            Some(net) => layers.scale_to(&BlendSums::CLEAR, net.coverage, net.transmittance, background),
-        };
-        Some(Resolved { dropped: saturated.into(), ..resolved })
+    }
+
+    /// What goes wrong in the nodes, in each bin, and in the share of all fragments together.
+    pub(super) fn diagnose_stored(&self, list: List<'_>, scratch: &mut Scratch) -> Diagnosis {
+        let Scratch { shaped_depth, stored, nodes, .. } = scratch;
+        let mut found = Diagnosis::CLEAR;
+        self.storing.diagnose_nodes(list, &mut found);
+        let list = self.storing.round(list, nodes).unwrap_or(list);
+        let recipe = self.storing.recipe.unwrap_or(Recipe::SINGLE);
+        stored.found = Some(found);
+        self.store(recipe, list, shaped_depth, stored);
+        stored.under_blend(recipe);
+        let mut found = stored.found.take().unwrap_or_default();
+        if self.normalize {
+            let mut net = StoredSums::CLEAR;
+            for &alpha in list.alpha {
+                let coverage = f64::from(alpha);
+                net.add_watched(recipe, recipe.one(), [0.0; 3], alpha, coverage, 1.0 - coverage, &mut found);
+            }
+        }
+        found
     }
 
     fn store_chunk(
@@ -202,7 +271,8 @@ impl LayeredWboit {
             let fragment = Part { weight, color: part.color[i], alpha: part.alpha[i] };
             match self.sharing {
                 Sharing::Naive => {
-                    stored.touch(own[i]).add(recipe, weight, fragment.color, fragment.alpha);
+                    let coverage = f64::from(fragment.alpha);
+                    stored.add(recipe, own[i], &fragment, coverage, 1.0 - coverage);
                 }
                 Sharing::Coverage(function) => {
                     self.fade(recipe, stored, own[i], function.shares(xs[i]), &fragment);
@@ -219,8 +289,8 @@ impl LayeredWboit {
         for (k, b) in self.reach(own, shares) {
             let share = f64::from(b);
             let coverage = f64::from(part.alpha) * share;
-            let weight = recipe.times(part.weight, share);
-            stored.touch(k).add_share(recipe, weight, part.color, part.alpha, coverage, 1.0 - coverage);
+            let part = Part { weight: recipe.times(part.weight, share), ..*part };
+            stored.add(recipe, k, &part, coverage, 1.0 - coverage);
         }
     }
 
@@ -240,8 +310,8 @@ impl LayeredWboit {
             let beta = f64::from(b) / total;
             let absorbed = (-beta * s).exp_m1();
             let share = if alpha > 0.0 { -absorbed / alpha } else { beta };
-            let weight = recipe.times(part.weight, share);
-            stored.touch(k).add_share(recipe, weight, part.color, part.alpha, -absorbed, 1.0 + absorbed);
+            let part = Part { weight: recipe.times(part.weight, share), ..*part };
+            stored.add(recipe, k, &part, -absorbed, 1.0 + absorbed);
         }
     }
 }
