@@ -45,7 +45,9 @@ fn in_f64_it_is_the_same_algorithm() {
             let plain = resolve(info.id, &[], &pixel);
             let wide = resolve(info.id, &[text("format", "f64")], &pixel);
             let far = difference(wide, plain.color, plain.transmittance.x);
-            assert!(far <= EXACT, "{}: {far:e}", info.id);
+            // moments are ill-conditioned, and their default sums them in f32
+            let allowed = if info.id.starts_with("mboit") { 1e-3 } else { EXACT };
+            assert!(far <= allowed, "{}: {far:e}", info.id);
         }
     }
 }
