@@ -20,7 +20,7 @@ use std::collections::HashSet;
 const BACKGROUND: [f32; 3] = [0.25, 0.5, 0.75];
 const VIEW: View = View { near: 0.1, far: 100.0, depth_range: (1.0, 9.0) };
 /// Images per property. Each has some pixels, and every variant of every technique resolves them.
-const CASES: u32 = 48;
+const CASES: u32 = 24;
 const MAX_PIXELS: usize = 4;
 /// How far a weighted mean may leave its colours' hull, relative to the largest of them: its weights and sums
 /// over up to 64 fragments are kept in f32.
