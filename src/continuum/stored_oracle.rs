@@ -3,9 +3,9 @@
 //! What pass A adds up is rounded to its format after every fragment's addition, in submission order; what one thread
 //! writes for a whole pixel is rounded when it is written. Pass B blends with T̂ for a weight, as [`Recipe`] says.
 
-use super::oracle::{CHUNK, Composite, FLOOR, Oracle, TwoPass, chunks};
-use super::stored_sums::{Recipe, StoredSums};
-use super::sums::blend;
+use super::oracle::{Composite, Oracle, TwoPass};
+use super::stored_pass::look_through;
+use super::stored_sums::Recipe;
 use crate::format::{Format, FormatSet, Formats, Summation, Target};
 use crate::fragments::{List, Lists};
 use crate::order::sort_key;
@@ -205,34 +205,6 @@ impl<O: StoredOracle> StoredTwoPass<O> {
             self.oracle.build_stored(pixel, &self.storage.formats, map);
         }
     }
-
-    /// Pass B.
-    fn accumulate(&self, pixel: &Pixel<'_>, map: &O::Map) -> StoredSums {
-        let list = if O::NEEDS_SORTED { pixel.sorted } else { pixel.list };
-        let recipe = self.storage.recipe;
-        let mut sums = StoredSums::CLEAR;
-        let mut seen = [0.0; CHUNK];
-        for part in chunks(list) {
-            self.oracle.see(map, part, &mut seen[..part.len()]);
-            for ((t, &color), &alpha) in seen.iter().zip(part.color).zip(part.alpha) {
-                sums.add(recipe, self.weight(*t), color, alpha);
-            }
-        }
-        sums
-    }
-
-    /// T̂ as a weight, or its logarithm. The floor under it is lost in formats that cannot hold it, unless sums are
-    /// scaled.
-    #[expect(clippy::cast_possible_truncation, reason = "shaders compute in f32")]
-    fn weight(&self, t: f64) -> f64 {
-        let recipe = self.storage.recipe;
-        let t = t.max(if self.composite == Composite::Normalize { FLOOR } else { 0.0 });
-        match recipe.rgb {
-            _ if recipe.summation.is_scaled() => t.log2(),
-            Format::F64 => t,
-            _ => f64::from(t as f32),
-        }
-    }
 }
 
 impl<O: StoredOracle> Technique for StoredTwoPass<O> {
@@ -240,15 +212,8 @@ impl<O: StoredOracle> Technique for StoredTwoPass<O> {
     const NEEDS_SORTED: bool = O::NEEDS_SORTED;
 
     fn resolve(&self, pixel: &Pixel<'_>, scratch: &mut Self::Scratch) -> Resolved {
-        let (stored, total) =
-            self.look(pixel, scratch, |pixel, map| (self.accumulate(pixel, map), self.oracle.total(map)));
-        let sums = stored.read(self.storage.recipe);
-        let resolved = match self.composite {
-            Composite::None => blend(sums.color, 1.0, total, pixel.background),
-            Composite::ExactBackground => blend(sums.color, 1.0, sums.transmittance, pixel.background),
-            Composite::Normalize => sums.over(pixel.background),
-        };
-        Resolved { dropped: stored.saturated.into(), ..resolved }
+        let (composite, recipe) = (self.composite, self.storage.recipe);
+        self.look(pixel, scratch, |pixel, map| look_through(&self.oracle, map, pixel, composite, recipe))
     }
 
     fn transmittance(

@@ -2,7 +2,7 @@
 
 use super::oracle::{CHUNK, Composite, FLOOR, Oracle, chunks};
 use super::stored_sums::{Recipe, StoredSums};
-use super::sums::{Sums, blend};
+use super::sums::blend;
 use crate::format::Format;
 use crate::technique::{Cost, DepthComplexity, Pixel, Properties, Resolved, Technique};
 
@@ -16,24 +16,40 @@ pub struct StoredPass<O> {
     pub recipe: Recipe,
 }
 
-impl<O: Oracle> StoredPass<O> {
-    fn accumulate(&self, map: &O::Map, pixel: &Pixel<'_>) -> Sums {
-        let list = if O::NEEDS_SORTED { pixel.sorted } else { pixel.list };
-        let floor = if self.composite == Composite::Normalize { FLOOR } else { 0.0 };
-        let (mut sums, mut seen) = (StoredSums::CLEAR, [0.0; CHUNK]);
-        for part in chunks(list) {
-            self.oracle.see(map, part, &mut seen[..part.len()]);
-            for ((t, &color), &alpha) in seen.iter().zip(part.color).zip(part.alpha) {
-                sums.add(self.recipe, self.weight(t.max(floor)), color, alpha);
-            }
+/// Pass B: every fragment through the map, then the resolve.
+pub fn look_through<O: Oracle>(
+    oracle: &O,
+    map: &O::Map,
+    pixel: &Pixel<'_>,
+    composite: Composite,
+    recipe: Recipe,
+) -> Resolved {
+    let list = if O::NEEDS_SORTED { pixel.sorted } else { pixel.list };
+    let (mut stored, mut seen) = (StoredSums::CLEAR, [0.0; CHUNK]);
+    for part in chunks(list) {
+        oracle.see(map, part, &mut seen[..part.len()]);
+        for ((t, &color), &alpha) in seen.iter().zip(part.color).zip(part.alpha) {
+            stored.add(recipe, weight(recipe, composite, *t), color, alpha);
         }
-        sums.read(self.recipe)
     }
+    let sums = stored.read(recipe);
+    let resolved = match composite {
+        Composite::None => blend(sums.color, 1.0, oracle.total(map), pixel.background),
+        Composite::ExactBackground => blend(sums.color, 1.0, sums.transmittance, pixel.background),
+        Composite::Normalize => sums.over(pixel.background),
+    };
+    Resolved { dropped: stored.saturated.into(), ..resolved }
+}
 
-    /// T̂ as a shader hands it over.
-    #[expect(clippy::cast_possible_truncation, reason = "shaders compute in f32")]
-    fn weight(&self, transmittance: f64) -> f64 {
-        if self.recipe.rgb == Format::F64 { transmittance } else { f64::from(transmittance as f32) }
+/// T̂ as a shader hands it over for a weight, or its logarithm. The floor under it is lost in formats that cannot hold
+/// it, unless sums are scaled.
+#[expect(clippy::cast_possible_truncation, reason = "shaders compute in f32")]
+fn weight(recipe: Recipe, composite: Composite, t: f64) -> f64 {
+    let t = t.max(if composite == Composite::Normalize { FLOOR } else { 0.0 });
+    match recipe.rgb {
+        _ if recipe.summation.is_scaled() => t.log2(),
+        Format::F64 => t,
+        _ => f64::from(t as f32),
     }
 }
 
@@ -43,12 +59,7 @@ impl<O: Oracle> Technique for StoredPass<O> {
 
     fn resolve(&self, pixel: &Pixel<'_>, map: &mut O::Map) -> Resolved {
         self.oracle.build(pixel, map);
-        let sums = self.accumulate(map, pixel);
-        match self.composite {
-            Composite::None => blend(sums.color, 1.0, self.oracle.total(map), pixel.background),
-            Composite::ExactBackground => blend(sums.color, 1.0, sums.transmittance, pixel.background),
-            Composite::Normalize => sums.over(pixel.background),
-        }
+        look_through(&self.oracle, map, pixel, self.composite, self.recipe)
     }
 
     fn transmittance(&self, pixel: &Pixel<'_>, depths: &[f32], map: &mut O::Map) -> Option<Vec<f64>> {
