@@ -73,7 +73,8 @@ const PIECE_PIXELS: usize = 4096;
 /// Renders `source` once per request, rasterising once for all.
 ///
 /// # Errors
-/// For unknown techniques and params before any work starts; [`Error::Cancelled`] once `stop` returns true.
+/// For unknown techniques and params before any work starts; [`Error::Cancelled`] once `stop` returns true, which it has to do from
+/// then on.
 pub fn render<S: Sample>(
     source: Source<'_>,
     requests: &[Request],

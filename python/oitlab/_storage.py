@@ -46,17 +46,17 @@ def stored_in(entry: TechniqueInfo, params: Mapping[str, Any], format: str) -> d
         return None
     beside = {**params, "format": _BESIDE}
     able = {name: format for name, known in names.items() if format in known}
-    there = {name: format for name in able if _is_there(entry, beside, {name: format})}
+    there = {name: format for name in able if _is_there(entry, beside, name)}
     return {**beside, **there} if there else None
 
 
-def _is_there(entry: TechniqueInfo, params: dict[str, Any], change: dict[str, Any]) -> bool:
-    """Tell whether there is such a target under these params: then its format shows in bytes per pixel."""
+def _is_there(entry: TechniqueInfo, params: dict[str, Any], name: str) -> bool:
+    """Tell whether there is such a target under these params: then a wider format shows in bytes per pixel."""
 
     def bytes_of(params: dict[str, Any]) -> float:
         return entry.cost(params, depth_complexity_mean=2.0, depth_complexity_max=4).bytes_per_pixel
 
-    return bytes_of({**params, **change}) != bytes_of(params)
+    return bytes_of({**params, name: _WIDEST}) != bytes_of(params)
 
 
 def described(entry: TechniqueInfo, params: Mapping[str, Any]) -> str:

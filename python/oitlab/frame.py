@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from threading import Lock
+from threading import RLock
 from typing import Any, Generic, TypeAlias, TypeVar
 
 import numpy as np
@@ -54,7 +54,7 @@ class _Cell(Generic[_T]):
 
     def __init__(self, given: Later[_T]) -> None:
         self.given = given
-        self._lock = Lock()
+        self._lock = RLock()  # a signal's handler may ask for what is being made
 
     def get(self) -> _T:
         """Make the value unless it is there; threads that ask at the same time get the same one."""

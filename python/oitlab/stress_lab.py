@@ -318,7 +318,7 @@ def _entry(technique: str) -> TechniqueInfo:
 def _formats(formats: Iterable[str], technique: str, params: Mapping[str, Any]) -> list[str]:
     if isinstance(formats, str) or not isinstance(formats, Iterable):
         raise ValueError(f"formats must be an iterable of names, got {formats!r}")
-    wanted = list(dict.fromkeys(formats))
+    wanted = _names(formats, "formats")
     known = dict.fromkeys(
         name for entry in techniques() for names in format_params(entry).values() for name in names
     )
@@ -331,13 +331,21 @@ def _formats(formats: Iterable[str], technique: str, params: Mapping[str, Any]) 
     return wanted
 
 
+def _names(given: Iterable[str], argument: str) -> list[str]:
+    names = list(given)
+    for i, name in enumerate(names):
+        if not isinstance(name, str):
+            raise ValueError(f"{argument}[{i}] must be a name, got {name!r}")
+    return list(dict.fromkeys(names))
+
+
 def _chosen(names: Iterable[str] | None) -> list[Case]:
     known = {case.name: case for case in CASES}
     if names is None:
         return list(CASES)
     if isinstance(names, str) or not isinstance(names, Iterable):
         raise ValueError(f"cases must be an iterable of names, got {names!r}")
-    wanted = list(names)
+    wanted = _names(names, "cases")
     for name in wanted:
         if name not in known:
             raise ValueError(f"cases: unknown {name!r}; known: {', '.join(known)}")

@@ -6,6 +6,7 @@
 use super::oracle::{Composite, Oracle, TwoPass};
 use super::stored_pass::look_through;
 use super::stored_sums::Recipe;
+use crate::diagnosis::{Diagnosis, Faults};
 use crate::format::{Format, FormatSet, Formats, Summation, Target};
 use crate::fragments::{List, Lists};
 use crate::order::sort_key;
@@ -226,6 +227,14 @@ impl<O: StoredOracle> Technique for StoredTwoPass<O> {
         Some(self.look(pixel, scratch, |_, map| {
             depths.iter().map(|&depth| self.oracle.at(map, rounded(depth))).collect()
         }))
+    }
+
+    fn faults(&self) -> Faults {
+        self.oracle.faults()
+    }
+
+    fn diagnose(&self, pixel: &Pixel<'_>, scratch: &mut Self::Scratch) -> Diagnosis {
+        self.look(pixel, scratch, |pixel, map| self.oracle.diagnose(map, pixel.list))
     }
 
     fn cost(&self, complexity: &DepthComplexity) -> Cost {

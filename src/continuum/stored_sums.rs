@@ -49,9 +49,10 @@ impl Recipe {
     pub fn bytes_per_pixel(self, formats: &Formats, sums: f64) -> f64 {
         const EXPONENT: f64 = 4.0;
         let all = formats.bytes_per_pixel();
+        let rest = if is_signed(self.rgb) { sums } else { Format::F16.bytes(4) };
         match self.summation {
             Summation::Plain => all,
-            Summation::Compensated => all + sums,
+            Summation::Compensated => all + rest,
             // R as the sum of its logarithms in 64 bits, where there is one
             Summation::Fixed => {
                 let revealage = formats.bytes_of("revealage");
@@ -59,7 +60,7 @@ impl Recipe {
                 all - sums + 4.0 * f64::from(integer_bits(self.rgb)) / 8.0 + logarithm
             }
             Summation::Scaled => all + EXPONENT,
-            Summation::ScaledDouble => all + sums + EXPONENT,
+            Summation::ScaledDouble => all + rest + EXPONENT,
         }
     }
 
@@ -138,6 +139,12 @@ impl Recipe {
         }
     }
 
+    /// Rounds what the sums leave, which may be negative: a half stands in where the format knows no sign.
+    fn round_rest(self, texel: &mut [f64; 4]) {
+        let signed = |format| if is_signed(format) { format } else { Format::F16 };
+        Self { rgb: signed(self.rgb), alpha: signed(self.alpha), ..self }.round(texel);
+    }
+
     /// A number that a shader hands over.
     #[expect(clippy::cast_possible_truncation, reason = "shaders compute in f32")]
     fn source(self, x: f64) -> f64 {
@@ -149,6 +156,11 @@ impl Recipe {
         let least = |format: Format| exponent_of(format.max_finite()) - 2;
         least(self.rgb).min(least(self.alpha)).min(200)
     }
+}
+
+/// Whether a format has negative numbers.
+fn is_signed(format: Format) -> bool {
+    matches!(format, Format::F64 | Format::F32 | Format::F16 | Format::Bf16 | Format::Snorm8)
 }
 
 /// Bits of the integers that [`Summation::Fixed`] keeps sums in.
@@ -266,13 +278,16 @@ impl StoredSums {
         let before = self.sums;
         self.add_plain(recipe, sources);
         for channel in 0..4 {
-            let (before, after, source) = (before[channel], self.sums[channel], sources[channel]);
+            let format = recipe.of(channel);
+            let source = format.clamp_source(sources[channel]);
+            let (before, after) = (before[channel], self.sums[channel]);
             let (large, small) =
                 if before.abs() >= source.abs() { (before, source) } else { (source, before) };
             let error = (large - after) + small;
-            self.rest[channel] += if after.is_finite() { error } else { 0.0 };
+            // what is beyond the largest number is lost, not left
+            self.rest[channel] += if after.abs() < format.max_finite() { error } else { 0.0 };
         }
-        recipe.round(&mut self.rest);
+        recipe.round_rest(&mut self.rest);
     }
 
     /// In integers of which half the bits count what is below 1.
@@ -379,7 +394,7 @@ impl StoredSums {
         recipe.round(&mut self.sums);
         if recipe.summation == Summation::ScaledDouble {
             self.rest = std::array::from_fn(|i| total[i] - self.sums[i]);
-            recipe.round(&mut self.rest);
+            recipe.round_rest(&mut self.rest);
         }
     }
 
@@ -388,8 +403,9 @@ impl StoredSums {
         self.exponent = Some(exponent);
         for texel in [&mut self.sums, &mut self.rest] {
             texel.iter_mut().for_each(|x| *x = times_power(*x, by));
-            recipe.round(texel);
         }
+        recipe.round(&mut self.sums);
+        recipe.round_rest(&mut self.rest);
     }
 }
 

@@ -114,7 +114,8 @@ impl Sums {
         if self.alpha > 0.0 {
             blend(self.color, self.coverage / self.alpha, self.transmittance, background)
         } else {
-            Resolved::background(background)
+            // no colour, because nothing covers or because the format lost it; R is what it is
+            blend(DVec3::ZERO, 0.0, self.transmittance, background)
         }
     }
 
@@ -163,8 +164,8 @@ impl SumsOf<'_> {
         self.cover(out);
     }
 
-    /// What to multiply the sum of colours with, (1 − R) / Σ w a, and R; nothing and 1 where nothing covers. They
-    /// wait in the first and the last channel.
+    /// What to multiply the sum of colours with, (1 − R) / Σ w a or nothing, and R. They wait in the first and the last
+    /// channel.
     fn find_shares(&self, out: &mut [Finished]) {
         find_shares(self.weighted, self.transmittance, self.coverage, out);
     }
@@ -181,7 +182,7 @@ fn find_shares(weighted: &[[f32; 4]], transmittance: &[f64], coverage: &[f64], o
         let covers = alpha > 0.0;
         let of_average = precise_coverage(*t, *coverage) / alpha;
         out[0] = if covers { of_average } else { 0.0 };
-        out[3] = if covers { *t } else { 1.0 };
+        out[3] = *t;
     }
 }
 

@@ -1,6 +1,6 @@
 //! Storage formats: what a render target or a node keeps of a number.
 //!
-//! Every format rounds once, to nearest even, from an exact number or from one that was [rounded to odd](blend):
+//! Every format rounds once, to nearest even (rgb9e5 to nearest, ties up, as its specification says), from an exact number or from one that was [rounded to odd](blend):
 //! going through f32 first would round some numbers twice. A float that overflows becomes infinite, normalised
 //! integers saturate. Packed and normalised formats are those of the Vulkan specification (chapters "Fixed-Point Data
 //! Conversion" and "Floating-Point Format Conversions") and of `EXT_packed_float` and `EXT_texture_shared_exponent`.

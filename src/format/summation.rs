@@ -7,8 +7,8 @@ use crate::params::{Kind, ParamSpec, Value};
 pub enum Summation {
     /// Each addition is rounded to the format.
     Plain,
-    /// The rounding errors are summed up beside, in a second target of the same format (Neumaier 1974). That one rounds
-    /// as well: halves then reach 4096 ones rather than 2048.
+    /// The rounding errors are summed up beside, in a second target of the same format, or of halves where that knows no
+    /// sign (Neumaier 1974). That one rounds as well: halves then reach 4096 ones rather than 2048.
     Compensated,
     /// In two's complement integers of twice the format's bits, half of which count what is below 1: the same bits in
     /// any order. They saturate.
@@ -16,7 +16,7 @@ pub enum Summation {
     /// As multiples of a power of two per pixel, which follows the largest sum, as a streaming log-sum-exp does; weights
     /// come as logarithms, so that nothing overflows or underflows.
     Scaled,
-    /// Scaled, and held in two numbers of the format.
+    /// Scaled, and held in two numbers of the format, the second a half where that knows no sign.
     ScaledDouble,
 }
 
@@ -26,7 +26,7 @@ pub const SUMMATION: ParamSpec = ParamSpec::new(
     Kind::Choice(&["plain", "compensated", "fixed", "scaled", "scaled_double"]),
     Value::Text("plain"),
     "how sums are kept: rounded to the format at each addition; with the rounding errors summed beside; in integers of \
-     twice the bits, which saturate (counted as dropped, one per pixel) and are the same in any order; by multiples of a \
+     twice the bits, which saturate (counted as dropped, one per pixel) and are the same in any order (of pass B where there are two); by multiples of a \
      power of two that follows the largest sum, from logarithms of weights; the same in two numbers",
 );
 

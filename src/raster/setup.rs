@@ -361,7 +361,8 @@ impl Job<'_> {
             }
         }
         chunk.bin(&mut scratch, tiling);
-        let bytes = bytes_of(&scratch.triangles) + bytes_of(&scratch.touched);
+        let Scratch { triangles, touched, cursors, order, .. } = &scratch;
+        let bytes = bytes_of(triangles) + bytes_of(touched) + bytes_of(cursors) + bytes_of(order);
         SPARE_SCRATCH.give_back(scratch, bytes);
         chunk
     }

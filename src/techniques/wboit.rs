@@ -77,7 +77,10 @@ fn build(params: &Params, _view: &View) -> Result<Box<dyn AnyTechnique>> {
         return Ok(Box::new(wboit));
     }
     let sums = formats.bytes_of("accumulation") + formats.bytes_of("weights");
-    Ok(Stored::boxed(wboit, recipe, recipe.bytes_per_pixel(&formats, sums)))
+    // integers for four sums, and R's logarithm beside them where R has no target of its own
+    let fixed = recipe.summation == Summation::Fixed && params.text("layout") == "listing4";
+    let logarithm = if fixed { 8.0 } else { 0.0 };
+    Ok(Stored::boxed(wboit, recipe, recipe.bytes_per_pixel(&formats, sums) + logarithm))
 }
 
 /// Σ w a, which Listing 4 keeps apart.

@@ -324,3 +324,32 @@ fn bytes_follow_formats_and_summation() {
     let authors = [text("format", "f16"), text("modulation_format", "unorm8")];
     assert_eq!(cost("phenomenological", &authors), 12.0);
 }
+
+/// Corrections may be negative, and formats without a sign would keep the positive ones alone.
+#[test]
+fn what_is_left_of_unsigned_sums_has_a_sign() {
+    let layer = |i: u8| fragment(f32::from(i), [0.3, 0.2, 0.1], 0.5, i.into());
+    let pixel: Vec<_> = (0..100).map(layer).collect();
+    for format in ["r11g11b10f", "rgb9e5"] {
+        let off = |summation: &str| {
+            let stored = [
+                text("accumulation_format", format),
+                text("revealage_format", "f64"),
+                text("summation", summation),
+            ];
+            let exact = resolve("blended_oit", &[text("format", "f64")], &pixel);
+            difference(resolve("blended_oit", &stored, &pixel), exact.color, exact.transmittance.x)
+        };
+        assert!(off("scaled_double") < 2e-3, "{format}: {:e}", off("scaled_double"));
+        assert!(off("scaled_double") < off("plain"), "{format}");
+        assert!(off("compensated") < off("plain"), "{format}");
+    }
+}
+
+/// An opaque layer whose weight is beyond halves has no colour left, but covers.
+#[test]
+fn what_has_lost_its_color_still_covers() {
+    let lost = [text("format", "f16"), text("weight", "inv_pow")];
+    let got = resolve("wboit", &lost, &[fragment(100.0, [0.1, 0.5, 0.1], 1.0, 0)]);
+    assert_eq!((got.color, got.transmittance), (DVec3::ZERO, DVec3::ZERO));
+}

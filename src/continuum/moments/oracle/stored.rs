@@ -122,7 +122,7 @@ fn the_precision_is_that_of_the_coarser_format() {
             given_formats.iter().map(|(name, format)| (*name, Input::Text((*format).to_owned()))).collect();
         regularization(&given(&mboit_power::INFO, &inputs)).precision
     };
-    assert_eq!(precision(&[]), f32::EPSILON.into());
+    assert_eq!(precision(&[]), f64::from(f32::EPSILON));
     assert_eq!(precision(&[("format", "f64")]), f64::EPSILON);
     assert_eq!(precision(&[("absorbance_format", "f16")]), 2.0_f64.powi(-10));
     assert_eq!(precision(&[("moments_format", "unorm16"), ("absorbance_format", "f16")]), 1.0 / 65_535.0);
