@@ -51,7 +51,7 @@ def stored_in(entry: TechniqueInfo, params: Mapping[str, Any], format: str) -> d
 
 
 def _is_there(entry: TechniqueInfo, params: dict[str, Any], name: str) -> bool:
-    """Tell whether there is such a target under these params: then a wider format shows in bytes per pixel."""
+    """Tell whether there is such a target under these params: a wider format then takes more bytes."""
 
     def bytes_of(params: dict[str, Any]) -> float:
         return entry.cost(params, depth_complexity_mean=2.0, depth_complexity_max=4).bytes_per_pixel
