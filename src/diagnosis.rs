@@ -132,6 +132,18 @@ impl Diagnosis {
         *old = old.max(amount);
     }
 
+    /// With what befell another of the pixel's targets: counts add up, of bits the most are lost.
+    #[must_use]
+    pub fn and(mut self, other: &Self) -> Self {
+        for fault in Fault::ALL {
+            match fault {
+                Fault::Cancellation => self.at_least(fault, other.amount(fault)),
+                _ => self.amounts[fault as usize] += other.amount(fault),
+            }
+        }
+        self
+    }
+
     /// The bits that the difference of two positive numbers loses when it is stored in, or read from, `format`.
     #[expect(clippy::cast_possible_truncation, reason = "a number of bits")]
     pub fn cancel(&mut self, minuend: f64, subtrahend: f64, format: Format) {

@@ -80,12 +80,14 @@ pub struct Depths {
     format: Format,
     near: f64,
     far: f64,
+    /// The format of the colours beside, as far as they have one.
+    pub colors: Option<Format>,
 }
 
 impl Depths {
     /// In that format; window depth is that of the view's planes.
     pub fn new(format: Format, view: &View) -> Self {
-        Self { format, near: view.near, far: view.far }
+        Self { format, near: view.near, far: view.far, colors: None }
     }
 
     /// Whether every depth stays what it is.
@@ -154,7 +156,7 @@ impl Nodes {
             are_default: formats.are_default(),
             color: color.unwrap_or(Format::F64),
             share: share.unwrap_or(Format::F64),
-            depths: Depths::new(depth, view),
+            depths: Depths { colors: color, ..Depths::new(depth, view) },
             bytes: color_bytes + formats.bytes_of("node_depth"),
             color_bytes,
         };
@@ -174,7 +176,7 @@ impl Nodes {
             are_default: formats.are_default(),
             color,
             share: share_beside(color),
-            depths: Depths::new(depth, view),
+            depths: Depths { colors: Some(color), ..Depths::new(depth, view) },
             bytes: formats.bytes_per_pixel(),
             color_bytes: formats.bytes_of("color"),
         }

@@ -4,7 +4,7 @@
 //! writes for a whole pixel is rounded when it is written. Pass B blends with T̂ for a weight, as [`Recipe`] says.
 
 use super::oracle::{Composite, Oracle, TwoPass};
-use super::stored_pass::look_through;
+use super::stored_pass::{look_through, watch_through};
 use super::stored_sums::Recipe;
 use crate::diagnosis::{Diagnosis, Faults};
 use crate::format::{Format, FormatSet, Formats, Summation, Target};
@@ -230,11 +230,15 @@ impl<O: StoredOracle> Technique for StoredTwoPass<O> {
     }
 
     fn faults(&self) -> Faults {
-        self.oracle.faults()
+        self.oracle.faults().union(self.storage.recipe.faults())
     }
 
     fn diagnose(&self, pixel: &Pixel<'_>, scratch: &mut Self::Scratch) -> Diagnosis {
-        self.look(pixel, scratch, |pixel, map| self.oracle.diagnose(map, pixel.list))
+        let (composite, recipe) = (self.composite, self.storage.recipe);
+        self.look(pixel, scratch, |pixel, map| {
+            let of_sums = watch_through(&self.oracle, map, pixel, composite, recipe);
+            self.oracle.diagnose(map, pixel.list).and(&of_sums)
+        })
     }
 
     fn cost(&self, complexity: &DepthComplexity) -> Cost {

@@ -1,8 +1,10 @@
 //! Pass B of the two-pass template with sums in other storage formats (sheets 0.3 and 1.3).
 
 use super::oracle::{CHUNK, Composite, FLOOR, Oracle, chunks};
+use super::stored_sums::diagnose::diagnose_weighted;
 use super::stored_sums::{Recipe, StoredSums};
 use super::sums::blend;
+use crate::diagnosis::{Diagnosis, Faults};
 use crate::format::Format;
 use crate::technique::{Cost, DepthComplexity, Pixel, Properties, Resolved, Technique};
 
@@ -41,6 +43,24 @@ pub fn look_through<O: Oracle>(
     Resolved { dropped: stored.saturated.into(), ..resolved }
 }
 
+/// What goes wrong with the sums of pass B.
+pub fn watch_through<O: Oracle>(
+    oracle: &O,
+    map: &O::Map,
+    pixel: &Pixel<'_>,
+    composite: Composite,
+    recipe: Recipe,
+) -> Diagnosis {
+    let list = if O::NEEDS_SORTED { pixel.sorted } else { pixel.list };
+    let (mut weights, mut seen) = (Vec::with_capacity(list.len()), [0.0; CHUNK]);
+    for part in chunks(list) {
+        let seen = &mut seen[..part.len()];
+        oracle.see(map, part, seen);
+        weights.extend(seen.iter().map(|t| weight(recipe, composite, *t)));
+    }
+    diagnose_weighted(recipe, &weights, list).0
+}
+
 /// T̂ as a shader hands it over for a weight, or its logarithm. The floor under it is lost in formats that cannot hold
 /// it, unless sums are scaled.
 #[expect(clippy::cast_possible_truncation, reason = "shaders compute in f32")]
@@ -65,6 +85,16 @@ impl<O: Oracle> Technique for StoredPass<O> {
     fn transmittance(&self, pixel: &Pixel<'_>, depths: &[f32], map: &mut O::Map) -> Option<Vec<f64>> {
         self.oracle.build(pixel, map);
         Some(depths.iter().map(|&depth| self.oracle.at(map, depth)).collect())
+    }
+
+    fn faults(&self) -> Faults {
+        self.oracle.faults().union(self.recipe.faults())
+    }
+
+    fn diagnose(&self, pixel: &Pixel<'_>, map: &mut O::Map) -> Diagnosis {
+        self.oracle.build(pixel, map);
+        let of_sums = watch_through(&self.oracle, map, pixel, self.composite, self.recipe);
+        self.oracle.diagnose(map, pixel.list).and(&of_sums)
     }
 
     fn cost(&self, complexity: &DepthComplexity) -> Cost {

@@ -1,5 +1,6 @@
 //! What goes wrong in narrow formats, and what is promised of them (sheets 0.2, 2.5 and 4).
 
+use crate::diagnosis::Fault;
 use crate::fragments::Fragment;
 use crate::params::Input;
 use crate::technique::{DepthComplexity, Resolved};
@@ -178,4 +179,21 @@ fn zero_fragments_are_not_stored() {
             assert_eq!(resolve(info.id, inputs, &[zero(3.0)]), background, "{}", info.id);
         }
     }
+}
+
+/// The map's own faults are found in any format, and those of the second pass's sums beside them.
+#[test]
+fn both_passes_are_diagnosed() {
+    let close: Vec<_> = [4.0, 4.00001, 4.00002, 4.00003, 9.0].into_iter().zip(0..5).collect();
+    let pixel: Vec<_> = close.iter().map(|(z, i)| fragment(*z, [1e7, 0.0, 0.0], 0.9, *i)).collect();
+    let found = |storage: &[(&'static str, Input)], fault: Fault| {
+        let unbiased = [int("moments", 6), ("bias", Input::Float(0.0))];
+        let technique = build("mboit_power", &[&unbiased, storage].concat()).unwrap();
+        assert!(technique.faults().has(fault));
+        as_pixel(&pixel, |pixel| technique.diagnose(pixel)).amount(fault)
+    };
+    let half = text("accumulation_format", "f16");
+    assert!(found(&[], Fault::BiasRetries) > 0.0);
+    assert!(found(std::slice::from_ref(&half), Fault::BiasRetries) > 0.0);
+    assert!(found(std::slice::from_ref(&half), Fault::Overflow) > 0.0);
 }
