@@ -16,6 +16,7 @@ use crate::continuum::stored_layers::Kept;
 use crate::continuum::stored_pass::StoredPass;
 use crate::continuum::stored_sums::Recipe;
 use crate::continuum::stored_tail::StoredTail;
+use crate::diagnosis::{Diagnosis, Faults};
 use crate::error::Result;
 use crate::format::{Formats, Target};
 use crate::params::{Kind, ParamSpec, Params, Value, View};
@@ -278,6 +279,12 @@ impl<T: Technique, const SORTED: bool> Technique for Replay<T, SORTED> {
     }
     fn transmittance(&self, pixel: &Pixel<'_>, depths: &[f32], scratch: &mut T::Scratch) -> Option<Vec<f64>> {
         self.0.transmittance(&Self::replayed(pixel), depths, scratch)
+    }
+    fn faults(&self) -> Faults {
+        self.0.faults()
+    }
+    fn diagnose(&self, pixel: &Pixel<'_>, scratch: &mut T::Scratch) -> Diagnosis {
+        self.0.diagnose(&Self::replayed(pixel), scratch)
     }
     fn cost(&self, complexity: &DepthComplexity) -> Cost {
         self.0.cost(complexity)
