@@ -27,6 +27,7 @@ use crate::techniques::find;
 use image::{BackgroundRow, Patch, Target, VariantImage};
 use plan::Plan;
 use rayon::prelude::*;
+use std::ops::Range;
 use std::sync::{Arc, Mutex};
 use std::time::Instant;
 use tally::Tally;
@@ -261,17 +262,8 @@ impl<'a> Job<'a> {
         let run = |(first, mut patch): (usize, Patch<'_, S>)| {
             let rect = patch.rect();
             let last = first + rect.width();
-            let background: Vec<_> = (first..last).map(|i| fragments.background.at(i)).collect();
-            #[expect(clippy::cast_possible_truncation, reason = "at most MAX_SIZE squared pixels")]
-            let batch = Batch {
-                x: 0,
-                y: 0,
-                width: fragments.width,
-                first: first as u32,
-                lists: rows.rows(first, last),
-                sorted: None,
-                background: &background,
-            };
+            let background = backgrounds(fragments, first..last);
+            let batch = piece(fragments, first..last, &background);
             workers.with(new_worker, |(resolver, resolved, counts)| {
                 let mut tally = Tally::new(self.variants.len());
                 counts.clear();
@@ -400,4 +392,23 @@ struct Clock {
     setup_nanos: u64,
     wall_nanos: u64,
     threads: usize,
+}
+
+/// The opaque colours behind some pixels of a captured image.
+fn backgrounds(fragments: &Fragments, pixels: Range<usize>) -> Vec<[f32; 3]> {
+    pixels.map(|i| fragments.background.at(i)).collect()
+}
+
+/// Some pixels of a captured image, over their backgrounds.
+#[expect(clippy::cast_possible_truncation, reason = "at most MAX_SIZE squared pixels")]
+fn piece<'a>(fragments: &'a Fragments, pixels: Range<usize>, background: &'a [[f32; 3]]) -> Batch<'a> {
+    Batch {
+        x: 0,
+        y: 0,
+        width: fragments.width,
+        first: pixels.start as u32,
+        lists: fragments.lists.as_ref().rows(pixels.start, pixels.end),
+        sorted: None,
+        background,
+    }
 }

@@ -34,6 +34,11 @@ pub trait Insertion<O: Opacity>: Send + Sync + 'static {
     /// Prepares for a pixel.
     fn begin(&self, _pixel: &Pixel<'_>, _state: &mut Self::State) {}
 
+    /// The fragment that a node stands for if this one is admitted at all; `None` if it never is.
+    fn node(&self, fragment: &Fragment) -> Option<Fragment> {
+        Some(*fragment)
+    }
+
     /// The paint under which the fragment is stored; `None` refuses it.
     fn admit(&self, arrival: &Arrival<'_, O>, state: &mut Self::State) -> Option<O::Paint>;
 }
@@ -68,6 +73,10 @@ impl Threshold {
 
 impl<O: Opacity> Insertion<O> for Threshold {
     type State = ();
+
+    fn node(&self, fragment: &Fragment) -> Option<Fragment> {
+        self.pass(fragment)
+    }
 
     fn admit(&self, arrival: &Arrival<'_, O>, (): &mut ()) -> Option<O::Paint> {
         let opaque = self.pass(arrival.fragment)?;

@@ -11,6 +11,7 @@ use super::placed::Placed;
 use super::search::count_leading;
 use super::steps::Steps;
 use super::stored_layers::StoredAlpha;
+use crate::diagnosis::{Diagnosis, Faults};
 use crate::fragments::Fragment;
 use crate::order::sort_key;
 use crate::technique::{AnyTechnique, Cost, DepthComplexity, Pixel, Properties, Resolved, Technique};
@@ -197,6 +198,18 @@ impl<I: Insertion<O>, M: Merge<O>, O: Opacity, N: Normalize> Technique for Store
     ) -> Option<Vec<f64>> {
         self.stream.store(pixel, &mut scratch.stored);
         Some(self.stream.steps(&scratch.stored.nodes, depths))
+    }
+
+    fn faults(&self) -> Faults {
+        self.stream.opacity.faults()
+    }
+
+    /// What befalls fragments as they are written into nodes; what merging does to nodes is not looked at.
+    fn diagnose(&self, pixel: &Pixel<'_>, _scratch: &mut Self::Scratch) -> Diagnosis {
+        let mut found = Diagnosis::CLEAR;
+        let nodes = pixel.list.iter().filter_map(|fragment| self.stream.insertion.node(&fragment));
+        nodes.for_each(|node| found.count_all(self.stream.opacity.written(&node)));
+        found
     }
 
     fn cost(&self, _complexity: &DepthComplexity) -> Cost {

@@ -7,6 +7,7 @@
 
 use super::stored_layers::StoredAlpha;
 use super::stored_sums::Recipe;
+use crate::diagnosis::{Fault, Faults, rounding};
 use crate::format::{Format, FormatSet, Formats, Summation, Target};
 use crate::params::{Params, View};
 use crate::technique::Properties;
@@ -80,14 +81,12 @@ pub struct Depths {
     format: Format,
     near: f64,
     far: f64,
-    /// The format of the colours beside, as far as they have one.
-    pub colors: Option<Format>,
 }
 
 impl Depths {
     /// In that format; window depth is that of the view's planes.
     pub fn new(format: Format, view: &View) -> Self {
-        Self { format, near: view.near, far: view.far, colors: None }
+        Self { format, near: view.near, far: view.far }
     }
 
     /// Whether every depth stays what it is.
@@ -156,7 +155,7 @@ impl Nodes {
             are_default: formats.are_default(),
             color: color.unwrap_or(Format::F64),
             share: share.unwrap_or(Format::F64),
-            depths: Depths { colors: color, ..Depths::new(depth, view) },
+            depths: Depths::new(depth, view),
             bytes: color_bytes + formats.bytes_of("node_depth"),
             color_bytes,
         };
@@ -176,7 +175,7 @@ impl Nodes {
             are_default: formats.are_default(),
             color,
             share: share_beside(color),
-            depths: Depths { colors: Some(color), ..Depths::new(depth, view) },
+            depths: Depths::new(depth, view),
             bytes: formats.bytes_per_pixel(),
             color_bytes: formats.bytes_of("color"),
         }
@@ -214,6 +213,24 @@ impl Nodes {
         let mut texel = color.to_array();
         self.color.round_texel(&mut texel);
         DVec3::from(texel.map(|x| self.color.read(x)))
+    }
+
+    /// What can befall a colour that is written.
+    pub fn faults(self) -> Faults {
+        match self.color {
+            Format::F64 => Faults::NONE,
+            format if format.has_infinity() => Faults::of(&[Fault::Overflow, Fault::Underflow]),
+            _ => Faults::of(&[Fault::Saturation, Fault::Underflow]),
+        }
+    }
+
+    /// What befalls a colour when it is written.
+    pub fn written(self, color: DVec3) -> Faults {
+        let (exact, mut stored) = (color.to_array(), color.to_array());
+        self.color.round_texel(&mut stored);
+        let of_channels =
+            exact.into_iter().zip(stored).map(|(exact, stored)| rounding(self.color, exact, stored));
+        of_channels.fold(Faults::NONE, Faults::union)
     }
 
     /// A share in [0, 1] as a node keeps it.
@@ -273,6 +290,16 @@ impl Nodes {
 pub trait Keep: Send + Sync + 'static {
     /// A colour as it is kept.
     fn keep(&self, color: DVec3) -> DVec3;
+
+    /// What can befall a colour that is written.
+    fn faults(&self) -> Faults {
+        Faults::NONE
+    }
+
+    /// What befalls a colour when it is written.
+    fn written(&self, _color: DVec3) -> Faults {
+        Faults::NONE
+    }
 }
 
 /// They are kept as they are.
@@ -288,6 +315,12 @@ impl Keep for AsTheyAre {
 impl Keep for Nodes {
     fn keep(&self, color: DVec3) -> DVec3 {
         Self::keep(*self, color)
+    }
+    fn faults(&self) -> Faults {
+        Self::faults(*self)
+    }
+    fn written(&self, color: DVec3) -> Faults {
+        Self::written(*self, color)
     }
 }
 

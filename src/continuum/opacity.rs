@@ -3,6 +3,7 @@
 
 use super::layers::Node;
 use super::normalize::Core;
+use crate::diagnosis::Faults;
 use crate::fragments::Fragment;
 use crate::technique::Pixel;
 use glam::Vec3;
@@ -24,6 +25,16 @@ pub trait Opacity: Send + Sync + 'static {
 
     /// A fragment of `pixel` as paint; `None` if it cannot be one.
     fn paint(&self, pixel: &Pixel<'_>, fragment: &Fragment) -> Option<Self::Paint>;
+
+    /// What can befall fragments as they become paint, as far as it is looked for.
+    fn faults(&self) -> Faults {
+        Faults::NONE
+    }
+
+    /// What befalls one.
+    fn written(&self, _fragment: &Fragment) -> Faults {
+        Faults::NONE
+    }
 
     /// The depth that a node can be stored at, nearest to a wanted one.
     fn place(&self, depth: f32) -> f32 {

@@ -4,8 +4,7 @@
 //! through stored depths it compares rounded ones, too: a fragment would else be behind its own node.
 
 use super::nodes::Depths;
-use crate::diagnosis::{Diagnosis, Faults, rounding};
-use crate::format::Format;
+use crate::diagnosis::{Diagnosis, Faults};
 use crate::fragments::{Fragment, List, Lists};
 use crate::order::sort_key;
 use crate::technique::{Cost, DepthComplexity, Pixel, Properties, Resolved, Technique};
@@ -92,12 +91,10 @@ impl<T: Technique> Technique for Placed<T> {
         self.see(pixel, lists, |technique, pixel, scratch| technique.transmittance(pixel, &placed, scratch))
     }
     fn faults(&self) -> Faults {
-        let of_nodes = self.depths.colors.map_or(Faults::NONE, Faults::of_format);
-        self.technique.faults().union(of_nodes)
+        self.technique.faults()
     }
     fn diagnose(&self, pixel: &Pixel<'_>, lists: &mut Self::Scratch) -> Diagnosis {
-        let of_nodes = self.depths.colors.map_or(Diagnosis::CLEAR, |format| written(format, pixel.list));
-        self.see(pixel, lists, T::diagnose).and(&of_nodes)
+        self.see(pixel, lists, T::diagnose)
     }
     fn cost(&self, complexity: &DepthComplexity) -> Cost {
         self.technique.cost(complexity)
@@ -107,26 +104,12 @@ impl<T: Technique> Technique for Placed<T> {
     }
 }
 
-/// What befalls the fragments' colours when they are written into nodes; what merging them does later is not seen.
-fn written(format: Format, list: List<'_>) -> Diagnosis {
-    let mut found = Diagnosis::CLEAR;
-    for color in list.color {
-        let exact = color.map(f64::from);
-        let mut stored = exact;
-        format.round_texel(&mut stored);
-        let of_channels = exact.iter().zip(&stored).map(|(exact, stored)| rounding(format, *exact, *stored));
-        found.count_all(of_channels.fold(Faults::NONE, Faults::union));
-    }
-    found
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::diagnosis::Fault;
-    use crate::params::Input;
+    use crate::format::Format;
     use crate::technique::Technique;
-    use crate::techniques::testing::{VIEW, as_pixel, build, fragment};
+    use crate::techniques::testing::{VIEW, as_pixel, fragment};
 
     /// Says where it sees fragments, in list order and sorted.
     struct Depth;
@@ -166,23 +149,5 @@ mod tests {
         let exact = f64::from(4.001_f32);
         assert_eq!(resolve(Format::F32), ([1753.0, 7351.0, exact], exact));
         assert_eq!(resolve(Format::F16), ([1753.0, 7135.0, 4.0], 4.0));
-    }
-
-    /// Halves hold 65,504 and no 1e-8; 8 bits end at 1.
-    #[test]
-    fn what_nodes_do_to_colors_is_diagnosed() {
-        let pixel = [
-            fragment(4.0, [1e5, 0.0, 0.0], 1.0, 0),
-            fragment(5.0, [0.0, 1e-8, 0.0], 1.0, 1),
-            fragment(6.0, [0.5, 0.5, 0.5], 1.0, 2),
-        ];
-        let found = |format: &str, fault: Fault| {
-            let inputs = [("format", Input::Text(format.into()))];
-            let technique = build("mlab", &inputs).unwrap();
-            assert!(technique.faults().has(fault), "{format}");
-            as_pixel(&pixel, |pixel| technique.diagnose(pixel)).amount(fault)
-        };
-        assert_eq!((found("f16", Fault::Overflow), found("f16", Fault::Underflow)), (1.0, 1.0));
-        assert_eq!(found("bf16", Fault::Overflow), 0.0);
     }
 }

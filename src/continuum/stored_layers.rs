@@ -5,6 +5,8 @@ use super::layers::Node;
 use super::nodes::Nodes;
 use super::normalize::Core;
 use super::opacity::Opacity;
+use super::samples::unmultiplied;
+use crate::diagnosis::Faults;
 use crate::fragments::Fragment;
 use crate::technique::Pixel;
 use glam::{DVec3, Vec3};
@@ -51,6 +53,12 @@ impl Opacity for StoredAlpha {
     }
     fn paint(&self, _pixel: &Pixel<'_>, fragment: &Fragment) -> Option<StoredLayer> {
         Some(self.store(Vec3::from(fragment.color).as_dvec3(), fragment.alpha.into()))
+    }
+    fn faults(&self) -> Faults {
+        self.nodes.faults()
+    }
+    fn written(&self, fragment: &Fragment) -> Faults {
+        self.nodes.written(Vec3::from(fragment.color).as_dvec3())
     }
     fn place(&self, depth: f32) -> f32 {
         self.nodes.depths.place(depth)
@@ -113,6 +121,12 @@ where
         let mut paint = self.opacity.paint(pixel, fragment)?;
         self.keep(&mut paint);
         Some(paint)
+    }
+    fn faults(&self) -> Faults {
+        self.nodes.faults()
+    }
+    fn written(&self, fragment: &Fragment) -> Faults {
+        if fragment.alpha > 0.0 { self.nodes.written(unmultiplied(fragment)) } else { Faults::NONE }
     }
     fn place(&self, depth: f32) -> f32 {
         self.nodes.depths.place(depth)

@@ -6,6 +6,7 @@ use super::stored_sums::{Recipe, StoredSums};
 use super::sums::blend;
 use crate::diagnosis::{Diagnosis, Faults};
 use crate::format::Format;
+use crate::fragments::List;
 use crate::technique::{Cost, DepthComplexity, Pixel, Properties, Resolved, Technique};
 
 /// [`super::oracle::TwoPass`] whose sums are stored by a recipe.
@@ -26,14 +27,10 @@ pub fn look_through<O: Oracle>(
     composite: Composite,
     recipe: Recipe,
 ) -> Resolved {
-    let list = if O::NEEDS_SORTED { pixel.sorted } else { pixel.list };
-    let (mut stored, mut seen) = (StoredSums::CLEAR, [0.0; CHUNK]);
-    for part in chunks(list) {
-        oracle.see(map, part, &mut seen[..part.len()]);
-        for ((t, &color), &alpha) in seen.iter().zip(part.color).zip(part.alpha) {
-            stored.add(recipe, weight(recipe, composite, *t), color, alpha);
-        }
-    }
+    let mut stored = StoredSums::CLEAR;
+    each_weighed(oracle, map, pixel, composite, recipe, |weight, color, alpha| {
+        stored.add(recipe, weight, color, alpha);
+    });
     let sums = stored.read(recipe);
     let resolved = match composite {
         Composite::None => blend(sums.color, 1.0, oracle.total(map), pixel.background),
@@ -51,14 +48,32 @@ pub fn watch_through<O: Oracle>(
     composite: Composite,
     recipe: Recipe,
 ) -> Diagnosis {
-    let list = if O::NEEDS_SORTED { pixel.sorted } else { pixel.list };
-    let (mut weights, mut seen) = (Vec::with_capacity(list.len()), [0.0; CHUNK]);
-    for part in chunks(list) {
-        let seen = &mut seen[..part.len()];
-        oracle.see(map, part, seen);
-        weights.extend(seen.iter().map(|t| weight(recipe, composite, *t)));
+    let mut weights = Vec::new();
+    each_weighed(oracle, map, pixel, composite, recipe, |weight, _, _| weights.push(weight));
+    diagnose_weighted(recipe, &weights, looked_at::<O>(pixel)).0
+}
+
+/// The fragments in the order in which pass B blends them.
+fn looked_at<'a, O: Oracle>(pixel: &Pixel<'a>) -> List<'a> {
+    if O::NEEDS_SORTED { pixel.sorted } else { pixel.list }
+}
+
+/// Hands out every fragment's colour and alpha with what it weighs, seen through the map.
+fn each_weighed<O: Oracle>(
+    oracle: &O,
+    map: &O::Map,
+    pixel: &Pixel<'_>,
+    composite: Composite,
+    recipe: Recipe,
+    mut blend: impl FnMut(f64, [f32; 3], f32),
+) {
+    let mut seen = [0.0; CHUNK];
+    for part in chunks(looked_at::<O>(pixel)) {
+        oracle.see(map, part, &mut seen[..part.len()]);
+        for ((t, &color), &alpha) in seen.iter().zip(part.color).zip(part.alpha) {
+            blend(weight(recipe, composite, *t), color, alpha);
+        }
     }
-    diagnose_weighted(recipe, &weights, list).0
 }
 
 /// T̂ as a shader hands it over for a weight, or its logarithm. The floor under it is lost in formats that cannot hold

@@ -66,7 +66,7 @@ impl TileLists<'_> {
     /// Whether more fragments came than the budget allows; the lists are incomplete then. Where nearly all
     /// primitives have come, twice as many do: that is less than to begin again with two halves.
     pub fn is_over_budget(&self) -> bool {
-        let nearly_done = self.primitives.len() > self.expected / 4 * 3;
+        let nearly_done = 4 * self.primitives.len() >= 3 * self.expected;
         self.depth.len() > self.budget.saturating_mul(1 + usize::from(nearly_done))
     }
 

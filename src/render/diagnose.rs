@@ -1,6 +1,9 @@
 //! What went wrong with each pixel's numbers: everything is computed once more, for those who want to know.
 
-use super::{Options, PIECE_PIXELS, Request, Source, bind, capture, check_request, run_ends, with_threads};
+use super::{
+    Options, PIECE_PIXELS, Request, Source, backgrounds, bind, capture, check_request, piece, run_ends,
+    with_threads,
+};
 use crate::diagnosis::{Diagnosis, Fault, Faults};
 use crate::error::{Error, Result};
 use crate::fragments::Fragments;
@@ -99,18 +102,13 @@ impl<'a> Job<'a> {
         let starts = std::iter::once(0).chain(ends.iter().copied());
         let runs: Vec<_> = starts.zip(ends.iter().copied()).collect();
         let part = |(first, last): (usize, usize)| {
-            let background: Vec<_> = (first..last).map(|i| fragments.background.at(i)).collect();
-            #[expect(clippy::cast_possible_truncation, reason = "at most MAX_SIZE squared pixels")]
-            let batch = Batch {
-                x: 0,
-                y: 0,
-                width: fragments.width,
-                first: first as u32,
-                lists: fragments.lists.as_ref().rows(first, last),
-                sorted: None,
-                background: &background,
-            };
-            #[expect(clippy::cast_possible_truncation, clippy::cast_possible_wrap, reason = "as above")]
+            let background = backgrounds(fragments, first..last);
+            let batch = piece(fragments, first..last, &background);
+            #[expect(
+                clippy::cast_possible_truncation,
+                clippy::cast_possible_wrap,
+                reason = "at most MAX_SIZE squared pixels"
+            )]
             let rect = Rect { x0: first as i32, y0: 0, x1: last as i32, y1: 1 };
             (rect, self.part(&batch))
         };

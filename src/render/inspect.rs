@@ -1,6 +1,8 @@
 //! Looking inside a technique: its transmittance function at a pixel, and how much it depends on order.
 
-use super::{Options, PIECE_PIXELS, Request, bind, check_request, run_ends, with_threads};
+use super::{
+    Options, PIECE_PIXELS, Request, backgrounds, bind, check_request, piece, run_ends, with_threads,
+};
 use crate::error::{Error, Result};
 use crate::fragments::Fragments;
 use crate::order::SubmissionOrder;
@@ -125,17 +127,8 @@ pub fn order_sensitivity(
 }
 
 fn piece_variance(fragments: &Fragments, context: &Context<'_>, first: usize, last: usize) -> Vec<f64> {
-    let background: Vec<_> = (first..last).map(|i| fragments.background.at(i)).collect();
-    #[expect(clippy::cast_possible_truncation, reason = "at most MAX_SIZE squared pixels")]
-    let batch = Batch {
-        x: 0,
-        y: 0,
-        width: fragments.width,
-        first: first as u32,
-        lists: fragments.lists.as_ref().rows(first, last),
-        sorted: None,
-        background: &background,
-    };
+    let background = backgrounds(fragments, first..last);
+    let batch = piece(fragments, first..last, &background);
     let mut resolved = vec![Vec::new(); context.variants.len()];
     let mut tallies = vec![VariantTally::default(); context.variants.len()];
     Resolver::default().run(context, &batch, 0, &mut resolved, &mut tallies);

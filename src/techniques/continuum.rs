@@ -24,6 +24,7 @@ use crate::continuum::stochastic::{Visibility, VisibleByChance, VisibleSamples};
 use crate::continuum::stored::Stored;
 use crate::continuum::stored_layers::Kept;
 use crate::continuum::stored_pass::StoredPass;
+use crate::diagnosis::{Diagnosis, Faults};
 use crate::error::{Error, Result};
 use crate::params::{Default, Kind, ParamSpec, Params, Value, View};
 use crate::technique::{
@@ -456,6 +457,12 @@ impl<T: Technique, const SORTED: bool> Technique for Composed<T, SORTED> {
     }
     fn transmittance(&self, pixel: &Pixel<'_>, depths: &[f32], scratch: &mut T::Scratch) -> Option<Vec<f64>> {
         self.technique.transmittance(&Self::shown(pixel), depths, scratch)
+    }
+    fn faults(&self) -> Faults {
+        self.technique.faults()
+    }
+    fn diagnose(&self, pixel: &Pixel<'_>, scratch: &mut T::Scratch) -> Diagnosis {
+        self.technique.diagnose(&Self::shown(pixel), scratch)
     }
     fn cost(&self, complexity: &DepthComplexity) -> Cost {
         self.setup.cost(complexity)

@@ -10,6 +10,7 @@ use crate::continuum::normalize::{Core, Unnormalized};
 use crate::continuum::opacity::{Alpha, Layer, Opacity};
 use crate::continuum::samples::unmultiplied;
 use crate::continuum::stored_layers::{Kept, StoredAlpha, StoredLayer};
+use crate::diagnosis::Faults;
 use crate::error::Result;
 use crate::fragments::Fragment;
 use crate::params::{Kind, ParamSpec, Params, Value, View};
@@ -174,6 +175,13 @@ impl Opacity for StoredRounded {
     fn paint(&self, pixel: &Pixel<'_>, fragment: &Fragment) -> Option<StoredLayer> {
         let (color, coverage) = self.rounded.round(pixel, fragment)?;
         Some(self.stored.store(color, coverage))
+    }
+    fn faults(&self) -> Faults {
+        self.stored.faults()
+    }
+    /// What befalls the fragment's own colour, which rounding its alpha moves a little.
+    fn written(&self, fragment: &Fragment) -> Faults {
+        self.stored.written(fragment)
     }
     fn place(&self, depth: f32) -> f32 {
         self.stored.place(depth)

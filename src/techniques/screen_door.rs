@@ -5,6 +5,7 @@ use crate::continuum::nodes::{AsTheyAre, Keep, Nodes, SAMPLES};
 use crate::continuum::placed::Placed;
 use crate::continuum::samples::{Shown, uncovered, unmultiplied};
 use crate::continuum::steps::Steps;
+use crate::diagnosis::{Diagnosis, Faults};
 use crate::error::Result;
 use crate::fragments::{Fragment, List};
 use crate::order::sort_key;
@@ -97,6 +98,18 @@ impl<K: Keep> Technique for ScreenDoor<K> {
             );
         });
         Some(depths.iter().map(|&depth| steps.at(depth)).collect())
+    }
+
+    fn faults(&self) -> Faults {
+        self.colors.faults()
+    }
+
+    fn diagnose(&self, pixel: &Pixel<'_>, (): &mut ()) -> Diagnosis {
+        let mut found = Diagnosis::CLEAR;
+        self.each_shown(pixel.sorted, |fragment, _, _| {
+            found.count_all(self.colors.written(unmultiplied(fragment)));
+        });
+        found
     }
 
     fn cost(&self, _complexity: &DepthComplexity) -> Cost {

@@ -12,6 +12,7 @@ use crate::continuum::stored_pass::StoredPass;
 use crate::continuum::stored_sums::Recipe;
 use crate::continuum::stored_tail::stored_sums_of_all;
 use crate::continuum::sums::Sums;
+use crate::diagnosis::{Diagnosis, Faults};
 use crate::error::Result;
 use crate::format::{Format, Formats, Target};
 use crate::fragments::{Fragment, List};
@@ -158,6 +159,12 @@ impl Keep for (Nodes, Recipe) {
     fn keep(&self, color: DVec3) -> DVec3 {
         self.0.keep(color)
     }
+    fn faults(&self) -> Faults {
+        self.0.faults()
+    }
+    fn written(&self, color: DVec3) -> Faults {
+        self.0.written(color)
+    }
 }
 
 impl Store for (Nodes, Recipe) {
@@ -212,6 +219,17 @@ impl<W: Words, K: Store> Technique for StochasticColor<W, K> {
     fn transmittance(&self, pixel: &Pixel<'_>, depths: &[f32], samples: &mut Samples<W>) -> Option<Vec<f64>> {
         samples.measure(&self.masks, pixel);
         Some(depths.iter().map(|&depth| samples.steps.at(depth)).collect())
+    }
+
+    fn faults(&self) -> Faults {
+        self.colors.faults()
+    }
+
+    /// Of the fragments that some sample shows in the end.
+    fn diagnose(&self, pixel: &Pixel<'_>, samples: &mut Samples<W>) -> Diagnosis {
+        let mut found = Diagnosis::CLEAR;
+        samples.test.run(&self.masks, pixel, |f, _| found.count_all(self.colors.written(unmultiplied(f))));
+        found
     }
 
     fn cost(&self, _complexity: &DepthComplexity) -> Cost {

@@ -2,9 +2,10 @@
 
 use super::*;
 use crate::continuum::nodes::LAYERS;
+use crate::diagnosis::Fault;
 use crate::format::target::param_specs;
 use crate::params::{Input, check};
-use crate::techniques::testing::VIEW;
+use crate::techniques::testing::{VIEW, as_pixel, build, fragment};
 
 fn alpha(format: &str) -> StoredAlpha {
     let table: Vec<_> = param_specs(&LAYERS).collect();
@@ -45,4 +46,36 @@ fn double_precision_keeps_both_shares() {
         front
     };
     assert_eq!((front.coverage, front.transmittance), (2e-20, 1.0));
+}
+
+/// A half holds 65,504 and no 1e-8, samples and thresholds keep what is left of a colour without its alpha, and 8 bits
+/// end at 1.
+#[test]
+fn what_nodes_do_to_colors_is_diagnosed() {
+    let pixel = [
+        fragment(4.0, [1e5, 0.0, 0.0], 0.75, 0),
+        fragment(5.0, [0.0, 1e-8, 0.0], 0.75, 1),
+        fragment(6.0, [0.5, 0.5, 0.5], 0.75, 2),
+        fragment(7.0, [0.5, 2.0, 0.5], 1.0, 3),
+    ];
+    let found = |id: &str, format: &str, fault: Fault| {
+        let table: &[_] = if id == "slab" { &[("accumulate", "stored")] } else { &[] };
+        let inputs = [&[("node_color_format", format)], table].concat();
+        let inputs: Vec<_> = inputs.into_iter().map(|(name, x)| (name, Input::Text(x.into()))).collect();
+        let technique = build(id, &inputs).unwrap();
+        assert!(technique.faults().has(fault), "{id} {format}");
+        assert!(!technique.faults().has(Fault::NonFinite), "{id} reads none");
+        as_pixel(&pixel, |pixel| technique.diagnose(pixel)).amount(fault)
+    };
+    for id in
+        ["mlab", "k_buffer", "z3", "a_buffer", "mlcb", "multilayer_depth_peeling", "alpha_testing", "slab"]
+    {
+        assert_eq!(found(id, "f16", Fault::Overflow), 1.0, "{id}");
+        assert_eq!(found(id, "f16", Fault::Underflow), 1.0, "{id}");
+        assert_eq!(found(id, "bf16", Fault::Overflow), 0.0, "{id}");
+        assert_eq!(found(id, "unorm8", Fault::Saturation), 2.0, "{id}");
+    }
+    // the nearest covers 12 of 16 samples, the others are nearly all behind it
+    assert_eq!(found("screen_door", "f16", Fault::Overflow), 1.0);
+    assert_eq!(found("stochastic_transparency", "f16", Fault::Overflow), 1.0);
 }

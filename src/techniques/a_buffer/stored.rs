@@ -12,6 +12,7 @@ use crate::continuum::placed::Placed;
 use crate::continuum::stored_layers::StoredAlpha;
 use crate::continuum::stored_sums::Recipe;
 use crate::continuum::stored_tail::StoredTail;
+use crate::diagnosis::{Diagnosis, Faults};
 use crate::technique::{AnyTechnique, Cost, DepthComplexity, Pixel, Properties, Resolved, Technique};
 
 /// The A-buffer of that size.
@@ -84,6 +85,12 @@ impl<T: Technique> Technique for Listed<T> {
     }
     fn transmittance(&self, pixel: &Pixel<'_>, depths: &[f32], scratch: &mut T::Scratch) -> Option<Vec<f64>> {
         self.list.transmittance(pixel, depths, scratch)
+    }
+    fn faults(&self) -> Faults {
+        self.list.faults()
+    }
+    fn diagnose(&self, pixel: &Pixel<'_>, scratch: &mut T::Scratch) -> Diagnosis {
+        self.list.diagnose(pixel, scratch)
     }
     fn cost(&self, complexity: &DepthComplexity) -> Cost {
         self.size.cost(complexity)
