@@ -221,5 +221,5 @@ def test_techniques_without_formats_cannot_be_split(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(
         "oitlab.splitting.format_params", lambda entry: {} if entry.id == "mlab" else formats_of(entry)
     )
-    with pytest.raises(ValueError, match="'mlab' has no storage formats; those that have: .*wboit"):
+    with pytest.raises(ValueError, match=r"'mlab' has no storage formats; those that have: .*wboit"):
         oitlab.error_split(stack(3, 0.5), "mlab")

@@ -17,8 +17,9 @@ use crate::order::sort_key;
 pub struct TileLists<'a> {
     rect: Rect,
     budget: usize,
-    /// Primitives that may come, at most.
+    /// Primitives that are to be looked at, and those that have been.
     expected: usize,
+    visited: usize,
     /// Every run as it came, with the tile's own number of its primitive.
     arrived: Vec<(Run, u32)>,
     /// The depths of all of them, one after the other.
@@ -51,6 +52,7 @@ impl TileLists<'_> {
     pub fn begin(&mut self, rect: Rect, expected: usize, budget: usize) {
         self.rect = rect;
         self.expected = expected;
+        self.visited = 0;
         self.budget = budget;
         self.arrived.clear();
         self.depth.clear();
@@ -64,9 +66,9 @@ impl TileLists<'_> {
     }
 
     /// Whether more fragments came than the budget allows; the lists are incomplete then. Where nearly all
-    /// primitives have come, twice as many do: that is less than to begin again with two halves.
+    /// primitives have been looked at, twice as many are allowed: that costs less than to begin again with two halves.
     pub fn is_over_budget(&self) -> bool {
-        let nearly_done = 4 * self.primitives.len() >= 3 * self.expected;
+        let nearly_done = 4 * self.visited >= 3 * self.expected;
         self.depth.len() > self.budget.saturating_mul(1 + usize::from(nearly_done))
     }
 
@@ -196,6 +198,7 @@ impl<'r> Sink<'r> for TileLists<'r> {
     fn take(&mut self, cover: &Cover<'_, 'r>) -> bool {
         #[expect(clippy::cast_possible_truncation, reason = "primitives of one tile")]
         let number = self.primitives.len() as u32;
+        self.visited = cover.visited;
         for &run in cover.runs {
             self.counts[run.pixels()].iter_mut().for_each(|n| *n += 1);
             self.arrived.push((run, number));
@@ -220,5 +223,23 @@ impl<'r> Sink<'r> for TileLists<'r> {
             }
         }
         !self.is_over_budget()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_nearly_done_may_hold_twice_the_budget() {
+        let mut lists = TileLists::default();
+        let is_over = |lists: &mut TileLists<'_>, fragments, visited| {
+            lists.begin(Rect { x0: 0, y0: 0, x1: 8, y1: 8 }, 4, 10);
+            lists.depth.resize(fragments, 1.0);
+            lists.visited = visited;
+            lists.is_over_budget()
+        };
+        assert!(!is_over(&mut lists, 10, 0) && is_over(&mut lists, 11, 2));
+        assert!(!is_over(&mut lists, 20, 3) && is_over(&mut lists, 21, 4));
     }
 }

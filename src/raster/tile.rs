@@ -16,6 +16,8 @@ use multiversion::multiversion;
 pub struct Cover<'a, 'r> {
     /// Primitive id.
     pub primitive: u32,
+    /// How many of the tile's primitives have been looked at, this one included.
+    pub visited: usize,
     /// Where it is, row by row from the top.
     pub runs: &'a [Run],
     /// The number of pixels in them.
@@ -70,6 +72,8 @@ pub struct Tile {
     opaque: Opaque,
     occluded: Occluded,
     visits: Visits,
+    /// How many primitives have been looked at.
+    visited: usize,
     runs: Vec<Run>,
     /// The runs that `hide` and `cut_out` leave.
     kept: Vec<Run>,
@@ -142,6 +146,7 @@ impl Tile {
         stop: &dyn Fn() -> bool,
     ) -> bool {
         self.occluded = Occluded::default();
+        self.visited = 0;
         self.depth.resize(self.rect.area() + 2 * LANES, 0.0);
         if order != Order::Submission {
             let mut visits = std::mem::take(&mut self.visits);
@@ -162,6 +167,7 @@ impl Tile {
         primitive: Primitive<'_>,
         sink: &mut K,
     ) -> bool {
+        self.visited += 1;
         let behind = self.opaque.is_any() && self.opaque.hides_all(primitive.depth_range().0);
         self.occluded.primitives += u64::from(behind);
         let pixels = if behind { 0 } else { self.cover(primitive) };
@@ -220,6 +226,7 @@ impl Tile {
         }
         sink.take(&Cover {
             primitive,
+            visited: self.visited,
             runs: &self.runs,
             pixels,
             places: self.few.places(),
