@@ -6,6 +6,7 @@ pub mod error;
 pub mod format;
 pub mod fragments;
 pub mod frame;
+pub mod gpu;
 pub mod order;
 pub mod params;
 #[cfg(feature = "python")]

@@ -6,6 +6,7 @@ use crate::diagnosis::{Diagnosis, Faults};
 use crate::error::Result;
 use crate::format::Target;
 use crate::fragments::{List, ListsRef};
+use crate::gpu::form::MakeForm;
 use crate::params::{ParamSpec, Params, View};
 use glam::DVec3;
 
@@ -334,4 +335,13 @@ pub struct Info {
     pub bytes_per_pixel: &'static str,
     /// Makes the technique.
     pub build: fn(&Params, &View) -> Result<Box<dyn AnyTechnique>>,
+    /// Makes its form on a GPU, if it has one.
+    pub gpu: Option<MakeForm>,
+}
+
+impl Info {
+    /// The backends that can render it in this build.
+    pub fn backends(&self) -> &'static [&'static str] {
+        if cfg!(feature = "gpu") && self.gpu.is_some() { &["cpu", "gpu"] } else { &["cpu"] }
+    }
 }

@@ -2,6 +2,7 @@
 
 mod clip;
 mod cover;
+mod export;
 mod interpolate;
 mod lists;
 mod network;
@@ -14,12 +15,13 @@ mod tile;
 mod visit;
 
 pub use cover::Rect;
+pub use export::{Drawn, Linear, Outline, pixel_bounds_of};
 pub use interpolate::LANES;
 pub use lists::TileLists;
 pub use network::{NOTHING, Row};
 pub use occlusion::Opaque;
 pub use runs::Run;
-pub use shade::{AMBIENT, Paint, Premultiplied};
+pub use shade::{AMBIENT, Mask, Paint, Premultiplied, Shade};
 pub use tile::{Cover, Occluded, Sink, Tile, pixel_at};
 pub use visit::Order;
 

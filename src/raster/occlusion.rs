@@ -63,6 +63,10 @@ impl Opaque {
     pub fn colors(&self) -> &[[f32; 3]] {
         &self.colors
     }
+    /// The depth of the surface in each pixel, infinite where there is none; empty where there is none at all.
+    pub fn depths(&self) -> impl Iterator<Item = f32> {
+        self.keys.iter().map(|&key| depth(key))
+    }
     /// Whether they are one colour, since no opaque surface is among them.
     pub fn is_one_color(&self) -> bool {
         !self.is_any()

@@ -38,10 +38,13 @@ pub struct Shade {
     mask: Option<Mask>,
 }
 
+/// What lets a pixel through: an interpolated alpha of at least the cutoff.
 #[derive(Debug, Clone, Copy)]
-struct Mask {
-    alphas: [f32; 3],
-    cutoff: f32,
+pub struct Mask {
+    /// At the corners.
+    pub alphas: [f32; 3],
+    /// The least.
+    pub cutoff: f32,
 }
 
 /// A straight colour as the material shows it.
@@ -111,6 +114,15 @@ impl Shade {
     /// Whether pixels have to pass a mask.
     pub fn is_masked(&self) -> bool {
         self.mask.is_some()
+    }
+
+    /// The colours of the corners.
+    pub fn corners(&self) -> [Premultiplied; 3] {
+        self.corners
+    }
+    /// What pixels have to pass.
+    pub fn mask(&self) -> Option<Mask> {
+        self.mask
     }
 
     /// Whether the mask lets the pixel through.

@@ -5,6 +5,7 @@ use crate::error::Result;
 use crate::format::{Formats, Target};
 use crate::fragments::List;
 use crate::order::sort_key;
+use crate::gpu::form::{Form, Path, only};
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{
     AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties, Resolved, Streamed, Technique,
@@ -51,6 +52,7 @@ pub static INFO: Info = Info {
     geometry_passes: "1",
     bytes_per_pixel: "28 n + 4 in f32, 18 n + 4 in f16, 16 n + 4 as rgba8 and an f32 (linked list; n = mean depth complexity)",
     build,
+    gpu: Some(gpu),
 };
 
 #[expect(clippy::unnecessary_wraps, reason = "the signature of every technique's build")]
@@ -67,6 +69,22 @@ fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
         (false, _) => stored::build(size, blend_tail, nodes, sums(&formats)),
         (true, usize::MAX) => Box::new(ABuffer { size }),
         (true, _) => Box::new(LimitedABuffer { size, blend_tail }),
+    })
+}
+
+/// Its form on a GPU: exactly as much room as there are fragments, in f32.
+fn gpu(params: &Params, _view: &View) -> Result<Form> {
+    only(params, "overflow", "grow")?;
+    if !Formats::from_params(INFO.targets, params).are_default() {
+        let problem = "nodes of other formats than f32 have no form on the backend \"gpu\"";
+        return Err(params.error(problem, "there format and the formats of all targets are \"f32\""));
+    }
+    Ok(Form {
+        shader: include_str!("../../shaders/a_buffer.wgsl"),
+        numbers: Vec::new(),
+        path: Path::Sorted { resolve: "composite" },
+        shows_zero_fragments: false,
+        colored_transmittance: false,
     })
 }
 

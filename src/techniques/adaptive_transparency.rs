@@ -49,6 +49,7 @@ pub static INFO: Info = Info {
     geometry_passes: "2",
     bytes_per_pixel: "8 layers + 20 in f32, half of that in f16",
     build,
+    gpu: None,
 };
 
 fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {

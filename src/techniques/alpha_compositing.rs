@@ -4,6 +4,7 @@ use crate::diagnosis::{Diagnosis, Fault, Faults, rounding};
 use crate::error::Result;
 use crate::format::{Format, Formats, Target};
 use crate::fragments::List;
+use crate::gpu::form::{Blend, BlendTarget, Blending, Form, Path, target_format};
 use crate::params::{Params, View};
 use crate::technique::{
     AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties, Resolved, Streamed, Technique,
@@ -33,6 +34,7 @@ pub static INFO: Info = Info {
     geometry_passes: "1",
     bytes_per_pixel: "a framebuffer: 16 in f32, 8 in f16, 4 in 8 bits",
     build,
+    gpu: Some(gpu),
 };
 
 #[expect(clippy::unnecessary_wraps, reason = "the signature of every technique's build")]
@@ -42,6 +44,35 @@ fn build(params: &Params, _view: &View) -> Result<Box<dyn AnyTechnique>> {
         _ => EXACT_COVERAGE,
     };
     Ok(composite(properties, &Formats::from_params(INFO.targets, params)))
+}
+
+/// Its form on a GPU: the fixed-function blend unit.
+fn gpu(params: &Params, _view: &View) -> Result<Form> {
+    gpu_composite(params, &Formats::from_params(INFO.targets, params))
+}
+
+/// Alpha compositing in these formats on a GPU.
+pub(super) fn gpu_composite(params: &Params, formats: &Formats) -> Result<Form> {
+    const COLORS: &[Format] = &[Format::F32, Format::F16, Format::Unorm8, Format::Unorm16, Format::Srgb8];
+    let format = target_format(params, formats, "color", "color_format", COLORS)?;
+    let color =
+        BlendTarget { color: Blend::Over, ..BlendTarget::sums("color_format", format, 4).with_share() };
+    let blending = if formats.are_default() {
+        let (draw, resolve) = ("composite", "add_background");
+        Blending { draw, resolve, targets: vec![color], over_background: false }
+    } else {
+        // what is left of the background is nobody's business but ours
+        let share = BlendTarget::product("color_format", Format::F32, 1, Blend::Attenuate);
+        let (draw, resolve) = ("composite_over_background", "read_framebuffer");
+        Blending { draw, resolve, targets: vec![color, share], over_background: true }
+    };
+    Ok(Form {
+        shader: include_str!("../../shaders/alpha_compositing.wgsl"),
+        numbers: Vec::new(),
+        path: Path::Blended(blending),
+        shows_zero_fragments: false,
+        colored_transmittance: false,
+    })
 }
 
 /// Alpha compositing in these formats.

@@ -41,6 +41,7 @@ pub static INFO: Info = Info {
     geometry_passes: "1",
     bytes_per_pixel: "colour and depth: 20 in f32, 10 in f16, 8 as rgba8 and an f32",
     build,
+    gpu: None,
 };
 
 fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {

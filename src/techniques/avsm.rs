@@ -44,6 +44,7 @@ pub static INFO: Info = Info {
     geometry_passes: "2",
     bytes_per_pixel: "transmittance and depth per node, 4 sums and R: 8 layers + 20 in f32, 4 layers + 10 in f16",
     build,
+    gpu: None,
 };
 
 static TARGETS: [Target; 4] = [NODES, NODE_DEPTH, Target::ACCUMULATION, Target::REVEALAGE];

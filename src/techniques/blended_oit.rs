@@ -7,6 +7,7 @@ use crate::continuum::sums::{Blended, Sums, SumsOf};
 use crate::diagnosis::{Diagnosis, Faults};
 use crate::error::Result;
 use crate::format::{FormatSet, Formats, SUMMATION, Summation, Target};
+use crate::gpu::form::{Blend, BlendTarget, Blending, Form, Number, Path, SHARES, only, target_format};
 use crate::params::{Params, View};
 use crate::technique::{
     AnyTechnique, Axes, Cost, DepthComplexity, Finished, Info, Pixel, Properties, Resolved, Streamed,
@@ -37,6 +38,7 @@ pub static INFO: Info = Info {
     geometry_passes: "1",
     bytes_per_pixel: "4 sums and R: 20 in f32, 10 in f16",
     build,
+    gpu: Some(gpu),
 };
 
 #[expect(clippy::unnecessary_wraps, reason = "the signature of every technique's build")]
@@ -47,6 +49,25 @@ fn build(params: &Params, _view: &View) -> Result<Box<dyn AnyTechnique>> {
         return Ok(Box::new(BlendedOit));
     }
     Ok(Stored::boxed(BlendedOit, recipe, recipe.bytes_per_pixel(&formats, formats.bytes_of("accumulation"))))
+}
+
+/// Its form on a GPU.
+fn gpu(params: &Params, _view: &View) -> Result<Form> {
+    only(params, "summation", "plain")?;
+    let formats = Formats::from_params(INFO.targets, params);
+    let format = target_format(params, &formats, "accumulation", "accumulation_format", SHARES)?;
+    let revealage = target_format(params, &formats, "revealage", "revealage_format", SHARES)?;
+    let targets = vec![
+        BlendTarget::sums("accumulation_format", format, 4),
+        BlendTarget::product("revealage_format", revealage, 1, Blend::Attenuate),
+    ];
+    Ok(Form {
+        shader: include_str!("../../shaders/blended_oit.wgsl"),
+        numbers: vec![Number::float(format.max_finite())],
+        path: Path::Blended(Blending { draw: "accumulate", resolve: "resolve", targets, over_background: false }),
+        shows_zero_fragments: false,
+        colored_transmittance: false,
+    })
 }
 
 struct BlendedOit;

@@ -49,6 +49,7 @@ pub static INFO: Info = Info {
     geometry_passes: "3",
     bytes_per_pixel: "first depth, bins, 4 sums and R: 4 + 4 bins + 20 in f32, 4 + 2 bins + 10 in f16",
     build,
+    gpu: None,
 };
 
 fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {

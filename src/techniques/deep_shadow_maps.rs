@@ -52,6 +52,7 @@ pub static INFO: Info = Info {
     bytes_per_pixel: "transmittance and depth per vertex, 4 sums and R: 8 vertices + 20 in f32, 4 vertices + 10 in f16; by eps at \
                       most 2 n vertices and 4 more (n = mean depth complexity)",
     build,
+    gpu: None,
 };
 
 fn build(params: &Params, _view: &View) -> Result<Box<dyn AnyTechnique>> {

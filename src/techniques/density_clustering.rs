@@ -41,6 +41,7 @@ pub static INFO: Info = Info {
     geometry_passes: "2 + iterations",
     bytes_per_pixel: "3 sums per cluster, two depths, 4 sums and R: 12 bins + 8 + 20 in f32, 6 bins + 8 + 10 in f16",
     build,
+    gpu: None,
 };
 
 /// Sums of a cluster. Their variance cancels: in f32 one fragment alone may seem 3e-4 of the pixel's depths wide, in f16

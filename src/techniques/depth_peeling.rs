@@ -49,6 +49,7 @@ pub static INFO: Info = Info {
     geometry_passes: "passes, at most the largest depth complexity + 1 (the pass that writes nothing)",
     bytes_per_pixel: "two depths and a colour: 24 in f32, 12 in f16, 12 as rgba8 and f32",
     build,
+    gpu: None,
 };
 
 /// Below this transmittance `early_out` stops peeling.

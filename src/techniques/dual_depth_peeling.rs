@@ -41,6 +41,7 @@ pub static INFO: Info = Info {
     geometry_passes: "1 + passes, at most 1 + ceil(n / 2) (n = largest depth complexity)",
     bytes_per_pixel: "two depth pairs, two front colours and a back colour: 64 in f32, 32 in f16, 28 as rgba8 and f32",
     build,
+    gpu: None,
 };
 
 fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {

@@ -65,6 +65,7 @@ pub static INFO: Info = Info {
     geometry_passes: "1, 1 more for linear's automatic sigma",
     bytes_per_pixel: "4 sums: 16 in f32, 8 in f16; linear's automatic sigma takes 2 more",
     build,
+    gpu: None,
 };
 
 fn build(params: &Params, _view: &View) -> Result<Box<dyn AnyTechnique>> {

@@ -51,6 +51,7 @@ pub static INFO: Info = Info {
     geometry_passes: "1",
     bytes_per_pixel: "20 layers + 20 in f32, half of that in f16, 8 layers as rgba8 and an f32",
     build,
+    gpu: None,
 };
 
 fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {

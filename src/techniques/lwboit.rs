@@ -111,6 +111,7 @@ pub static INFO: Info = Info {
     bytes_per_pixel: "lr: 20 bins in f32, 10 in f16, one R more to normalize, 4 more for shape or range=\"pixel\"; \
                       ll: 24 n + 4 in f32, 14 n + 4 in f16 (n = mean depth complexity)",
     build,
+    gpu: None,
 };
 
 fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {

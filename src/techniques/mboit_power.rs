@@ -51,6 +51,7 @@ pub static INFO: Info = Info {
     geometry_passes: "2",
     bytes_per_pixel: "absorbance, moments, 4 sums and R: 4 (moments + 1) + 20 in f32, 2 (moments + 1) + 10 in f16",
     build,
+    gpu: None,
 };
 
 static TARGETS: [Target; 4] = [

@@ -40,6 +40,7 @@ pub static INFO: Info = Info {
     geometry_passes: "1",
     bytes_per_pixel: "20 layers in f32, 10 in f16, 8 as rgba8 and an f32",
     build,
+    gpu: None,
 };
 
 fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {

@@ -73,6 +73,7 @@ pub static INFO: Info = Info {
     bytes_per_pixel: "min_depth: 20 layers + 8; depth: 20 layers buckets, 8 more for range=\"pixel\"; \
                       transmittance: 20 layers buckets; half of a layer in f16, 8 as rgba8 and an f32",
     build,
+    gpu: None,
 };
 
 fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {

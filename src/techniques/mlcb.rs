@@ -65,6 +65,7 @@ pub static INFO: Info = Info {
     geometry_passes: "1",
     bytes_per_pixel: "layers (node + bits / 8), a node 20 in f32, 10 in f16, 8 as rgb8 and an f32; hybrid: alpha_bits in place of bits",
     build,
+    gpu: None,
 };
 
 fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {

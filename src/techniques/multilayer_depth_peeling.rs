@@ -46,6 +46,7 @@ pub static INFO: Info = Info {
     geometry_passes: "passes; bucket: 1, 1 more for range=\"pixel\"",
     bytes_per_pixel: "20 layers + 8 in f32, 10 layers + 8 in f16, 8 layers + 8 as rgba8 and an f32",
     build,
+    gpu: None,
 };
 
 fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {

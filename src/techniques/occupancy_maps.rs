@@ -48,6 +48,7 @@ pub static INFO: Info = Info {
     bytes_per_pixel: "bits, slabs, 4 sums and R: bits / 8 + 4 slabs + 20 in f32, bits / 8 + 2 slabs + 10 in f16, 8 more for \
                       range=\"pixel\"",
     build,
+    gpu: None,
 };
 
 /// Absorbance of the slabs.

@@ -50,6 +50,7 @@ pub static INFO: Info = Info {
     geometry_passes: "2",
     bytes_per_pixel: "bins, 4 sums and R: 4 bins + 20 in f32, 2 bins + 10 in f16",
     build,
+    gpu: None,
 };
 
 fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {

@@ -1,8 +1,9 @@
 //! The painter's algorithm: alpha compositing of whole primitives, sorted by the depth of their centroid.
 
-use super::alpha_compositing::{EXACT_COVERAGE, composite};
+use super::alpha_compositing::{EXACT_COVERAGE, composite, gpu_composite};
 use crate::error::Result;
 use crate::format::{Formats, Target};
+use crate::gpu::form::Form;
 use crate::params::{Params, View};
 use crate::technique::{AnyTechnique, Axes, Info, Properties};
 
@@ -28,12 +29,18 @@ pub static INFO: Info = Info {
     geometry_passes: "1",
     bytes_per_pixel: "a framebuffer: 16 in f32, 8 in f16, 4 in 8 bits (and a sort of the primitives)",
     build,
+    gpu: Some(gpu),
 };
 
 #[expect(clippy::unnecessary_wraps, reason = "the signature of every technique's build")]
 fn build(params: &Params, _view: &View) -> Result<Box<dyn AnyTechnique>> {
     let properties = Properties { order_independent: true, ..EXACT_COVERAGE };
     Ok(composite(properties, &Formats::from_params(INFO.targets, params)))
+}
+
+/// Its form on a GPU: whole primitives are sorted before they are drawn.
+fn gpu(params: &Params, _view: &View) -> Result<Form> {
+    gpu_composite(params, &Formats::from_params(INFO.targets, params))
 }
 
 #[cfg(test)]

@@ -9,6 +9,7 @@ use crate::diagnosis::{Diagnosis, Fault, Faults};
 use crate::error::Result;
 use crate::format::{Format, FormatSet, Formats, SUMMATION, Summation, Target};
 use crate::fragments::List;
+use crate::gpu::form::{Blend, BlendTarget, Blending, Form, Number, Path, SHARES, SUMS, only, target_format};
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{
     AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties, Resolved, Technique,
@@ -56,6 +57,7 @@ pub static INFO: Info = Info {
     geometry_passes: "1",
     bytes_per_pixel: "4 sums and the background's share per channel: 32 in f32, 16 in f16, 4 less with the share in unorm8",
     build,
+    gpu: Some(gpu),
 };
 
 /// B, the background's share per channel; the authors' is RGBA8.
@@ -80,16 +82,42 @@ fn build(params: &Params, _view: &View) -> Result<Box<dyn AnyTechnique>> {
     let logarithms = if fixed { 24.0 - formats.bytes_of("modulation") } else { 0.0 };
     let default = formats.are_default() && recipe.summation == Summation::Plain;
     Ok(Box::new(Phenomenological {
-        weighting: Weighting::new(
-            Function::Published(Formula::I3d16(Planes::from_params(params)?)),
-            1.0,
-            0.0,
-        ),
+        weighting: weighting(params)?,
         transmission: DVec3::from(transmission),
         divisor_floor: params.float("divisor_floor"),
         stored: (!default).then_some((recipe, formats.of("modulation"))),
         bytes: recipe.bytes_per_pixel(&formats, formats.bytes_of("accumulation")) + logarithms,
     }))
+}
+
+/// Its form on a GPU: the blend unit multiplies the background's share by each fragment's, channel by channel.
+fn gpu(params: &Params, _view: &View) -> Result<Form> {
+    only(params, "summation", "plain")?;
+    let Value::Rgb(transmission) = params.value("transmission") else {
+        unreachable!("a value of this kind is three numbers")
+    };
+    let formats = Formats::from_params(INFO.targets, params);
+    let format = target_format(params, &formats, "accumulation", "accumulation_format", SUMS)?;
+    let modulation = target_format(params, &formats, "modulation", "modulation_format", SHARES)?;
+    let targets = vec![
+        BlendTarget::sums("accumulation_format", format, 4),
+        BlendTarget::product("modulation_format", modulation, 4, Blend::Multiply),
+    ];
+    let weight = weighting(params)?.numbers().unwrap_or_else(|| unreachable!("it is a published one"));
+    let more = [format.max_finite(), params.float("divisor_floor")];
+    Ok(Form {
+        shader: include_str!("../../shaders/phenomenological.wgsl"),
+        numbers: weight.into_iter().chain(transmission.into_iter().chain(more).map(Number::float)).collect(),
+        path: Path::Blended(Blending { draw: "accumulate", resolve: "resolve", targets, over_background: false }),
+        shows_zero_fragments: false,
+        colored_transmittance: true,
+    })
+}
+
+/// The authors' weight.
+fn weighting(params: &Params) -> Result<Weighting> {
+    let formula = Formula::I3d16(Planes::from_params(params)?);
+    Ok(Weighting::new(Function::Published(formula), 1.0, 0.0))
 }
 
 struct Phenomenological {

@@ -43,6 +43,7 @@ pub static INFO: Info = Info {
     geometry_passes: "1",
     bytes_per_pixel: "20 samples in f32 (a depth and a colour each), 10 in f16, 8 as rgb8 and an f32",
     build,
+    gpu: None,
 };
 
 fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {

@@ -92,6 +92,7 @@ pub static INFO: Info = Info {
     bytes_per_pixel: "all: layers (4 + b / 8) + 20 for masks, 8 layers + 20 for alphas; stored: layers (20 + b / 8) for \
                       masks, 20 layers for alphas; half of that in f16, b / 8 aside",
     build,
+    gpu: None,
 };
 
 static TARGETS: [Target; 5] = [

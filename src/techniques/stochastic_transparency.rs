@@ -69,6 +69,7 @@ pub static INFO: Info = Info {
     geometry_passes: "color: 1, 1 more for correction=\"alpha\"; depth: 2",
     bytes_per_pixel: "color: 20 samples, 4 more for correction=\"alpha\"; depth: 4 samples + 20 (sums and R); half of that in f16",
     build,
+    gpu: None,
 };
 
 static TARGETS: [Target; 4] = [

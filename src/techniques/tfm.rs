@@ -55,6 +55,7 @@ pub static INFO: Info = Info {
     geometry_passes: "2",
     bytes_per_pixel: "coefficients, 4 sums and R: 4 (frequencies + 1) + 20 in f32, 2 (frequencies + 1) + 10 in f16",
     build,
+    gpu: None,
 };
 
 fn is_extinction(params: &Params) -> bool {

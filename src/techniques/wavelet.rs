@@ -54,6 +54,7 @@ pub static INFO: Info = Info {
     bytes_per_pixel: "coefficients, 4 sums and R: 4 * 2^(rank + 1) + 20 in f32, 2 * 2^(rank + 1) + 10 in f16, 8 more for \
                       range=\"pixel\"",
     build,
+    gpu: None,
 };
 
 fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {

@@ -7,7 +7,8 @@ use crate::continuum::stored_sums::diagnose::{diagnose, faults};
 use crate::continuum::sums::{Blended, Sums, SumsOf, finish_each};
 use crate::diagnosis::{Diagnosis, Faults};
 use crate::error::Result;
-use crate::format::{FormatSet, Formats, SUMMATION, Summation, Target};
+use crate::format::{Format, FormatSet, Formats, SUMMATION, Summation, Target};
+use crate::gpu::form::{Blend, BlendTarget, Blending, Form, Number, Path, SHARES, SUMS, only, target_format};
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{
     AnyTechnique, Axes, Cost, DepthComplexity, Finished, Info, Pixel, Properties, Resolved, Streamed,
@@ -65,6 +66,7 @@ pub static INFO: Info = Info {
     geometry_passes: "1",
     bytes_per_pixel: "4 sums and R: 20 in f32, 10 in f16; monochrome: 16 and 8",
     build,
+    gpu: Some(gpu),
 };
 
 fn build(params: &Params, _view: &View) -> Result<Box<dyn AnyTechnique>> {
@@ -81,6 +83,45 @@ fn build(params: &Params, _view: &View) -> Result<Box<dyn AnyTechnique>> {
     let fixed = recipe.summation == Summation::Fixed && params.text("layout") == "listing4";
     let logarithm = if fixed { 8.0 } else { 0.0 };
     Ok(Stored::boxed(wboit, recipe, recipe.bytes_per_pixel(&formats, sums) + logarithm))
+}
+
+/// Its form on a GPU, in any of the layouts.
+fn gpu(params: &Params, _view: &View) -> Result<Form> {
+    only(params, "summation", "plain")?;
+    let formats = Formats::from_params(INFO.targets, params);
+    let format = target_format(params, &formats, "accumulation", "accumulation_format", SUMS)?;
+    let sums = BlendTarget::sums("accumulation_format", format, 4);
+    let (draw, resolve, targets) = match params.text("layout") {
+        "listing4" => {
+            let weights = target_format(params, &formats, "weights", "weights_format", SUMS)?;
+            let targets = vec![sums.with_share(), BlendTarget::sums("weights_format", weights, 1)];
+            ("accumulate_listing4", "resolve_listing4", targets)
+        }
+        "monochrome" => ("accumulate_monochrome", "resolve_monochrome", vec![sums.with_share()]),
+        _ => {
+            let revealage = target_format(params, &formats, "revealage", "revealage_format", SHARES)?;
+            let targets =
+                vec![sums, BlendTarget::product("revealage_format", revealage, 1, Blend::Attenuate)];
+            ("accumulate_listing3", "resolve_listing3", targets)
+        }
+    };
+    let weighting = Weighting::from_params(params)?;
+    let numbers = weighting.numbers().ok_or_else(|| {
+        params.error("this weight has no form on the backend \"gpu\"", "there weights are the published ones")
+    })?;
+    let largest_weights = formats.find("weights").map_or(f64::MAX, Format::max_finite);
+    let more = [
+        Number::float(format.max_finite()),
+        Number::float(largest_weights),
+        Number::Whole(params.bool("listing3_clamp").into()),
+    ];
+    Ok(Form {
+        shader: include_str!("../../shaders/wboit.wgsl"),
+        numbers: numbers.into_iter().chain(more).collect(),
+        path: Path::Blended(Blending { draw, resolve, targets, over_background: false }),
+        shows_zero_fragments: false,
+        colored_transmittance: false,
+    })
 }
 
 /// Σ w a, which Listing 4 keeps apart.

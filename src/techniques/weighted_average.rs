@@ -7,6 +7,7 @@ use crate::continuum::sums::{Blended, Sums};
 use crate::diagnosis::{Diagnosis, Faults};
 use crate::error::Result;
 use crate::format::{FormatSet, Formats, SUMMATION, Summation, Target};
+use crate::gpu::form::{BlendTarget, Blending, Form, Number, Path, SHARES, SUMS, only, target_format};
 use crate::params::{Params, View};
 use crate::technique::{
     AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties, Resolved, Streamed, Technique,
@@ -37,6 +38,7 @@ pub static INFO: Info = Info {
     geometry_passes: "1",
     bytes_per_pixel: "4 sums and a count: 20 in f32, 10 in f16",
     build,
+    gpu: Some(gpu),
 };
 
 #[expect(clippy::unnecessary_wraps, reason = "the signature of every technique's build")]
@@ -48,6 +50,25 @@ fn build(params: &Params, _view: &View) -> Result<Box<dyn AnyTechnique>> {
     }
     let bytes = recipe.bytes_per_pixel(&formats, formats.bytes_of("accumulation"));
     Ok(Stored::boxed(WeightedAverage, recipe, bytes))
+}
+
+/// Its form on a GPU.
+fn gpu(params: &Params, _view: &View) -> Result<Form> {
+    only(params, "summation", "plain")?;
+    let formats = Formats::from_params(INFO.targets, params);
+    let format = target_format(params, &formats, "accumulation", "accumulation_format", SHARES)?;
+    let count = target_format(params, &formats, "count", "count_format", SUMS)?;
+    let targets = vec![
+        BlendTarget::sums("accumulation_format", format, 4),
+        BlendTarget::sums("count_format", count, 1),
+    ];
+    Ok(Form {
+        shader: include_str!("../../shaders/weighted_average.wgsl"),
+        numbers: vec![Number::float(format.max_finite())],
+        path: Path::Blended(Blending { draw: "accumulate", resolve: "resolve", targets, over_background: false }),
+        shows_zero_fragments: true,
+        colored_transmittance: false,
+    })
 }
 
 struct WeightedAverage;

@@ -7,6 +7,7 @@ use crate::continuum::sums::{Blended, Sums};
 use crate::diagnosis::{Diagnosis, Faults};
 use crate::error::Result;
 use crate::format::{FormatSet, Formats, SUMMATION, Summation, Target};
+use crate::gpu::form::{BlendTarget, Blending, Form, Number, Path, SHARES, only, target_format};
 use crate::params::{Params, View};
 use crate::technique::{
     AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties, Resolved, Streamed, Technique,
@@ -36,6 +37,7 @@ pub static INFO: Info = Info {
     geometry_passes: "1",
     bytes_per_pixel: "4 numbers of the format: 16 in f32, 8 in f16",
     build,
+    gpu: Some(gpu),
 };
 
 #[expect(clippy::unnecessary_wraps, reason = "the signature of every technique's build")]
@@ -46,6 +48,21 @@ fn build(params: &Params, _view: &View) -> Result<Box<dyn AnyTechnique>> {
         return Ok(Box::new(WeightedSum));
     }
     Ok(Stored::boxed(WeightedSum, recipe, recipe.bytes_per_pixel(&formats, formats.bytes_of("accumulation"))))
+}
+
+/// Its form on a GPU.
+fn gpu(params: &Params, _view: &View) -> Result<Form> {
+    only(params, "summation", "plain")?;
+    let formats = Formats::from_params(INFO.targets, params);
+    let format = target_format(params, &formats, "accumulation", "accumulation_format", SHARES)?;
+    let targets = vec![BlendTarget::sums("accumulation_format", format, 4)];
+    Ok(Form {
+        shader: include_str!("../../shaders/weighted_sum.wgsl"),
+        numbers: vec![Number::float(format.max_finite())],
+        path: Path::Blended(Blending { draw: "accumulate", resolve: "resolve", targets, over_background: false }),
+        shows_zero_fragments: false,
+        colored_transmittance: false,
+    })
 }
 
 /// Premultiplied colours added up.

@@ -5,6 +5,7 @@
 //! I3D 2016 shaders of the phenomenological model. A constant factor cancels in every technique. What is stored in more
 //! than f32, or in multiples of a power of two, takes weights in f64 or their logarithms (`log.rs`).
 
+mod gpu;
 mod log;
 
 use crate::continuum::functions::exp;

@@ -1,0 +1,42 @@
+// Alpha compositing (Porter & Duff 1984): the blend unit does it all.
+
+// With the background's share in the alpha channel, and the background added afterwards.
+@fragment
+fn composite(placed: Placed) -> @location(0) vec4f {
+    let fragment = fragment_of(placed);
+    return vec4f(fragment.color, fragment.alpha);
+}
+
+struct Framebuffer {
+    @location(0) color: vec4f,
+    @location(1) transmittance: vec4f,
+}
+
+// Over the background, which the framebuffer holds already.
+@fragment
+fn composite_over_background(placed: Placed) -> Framebuffer {
+    let fragment = fragment_of(placed);
+    return Framebuffer(vec4f(fragment.color, fragment.alpha), vec4f(fragment.alpha));
+}
+
+@group(2) @binding(0) var color_target: texture_2d<f32>;
+@group(2) @binding(1) var transmittance_target: texture_2d<f32>;
+
+@compute @workgroup_size(8, 8)
+fn add_background(@builtin(global_invocation_id) id: vec3u) {
+    if is_outside(id) {
+        return;
+    }
+    let pixel = pixel_of(id);
+    let target_ = textureLoad(color_target, pixel, 0);
+    store(id, min(target_.rgb, vec3f(LARGEST)) + target_.a * background_at(pixel), target_.a);
+}
+
+@compute @workgroup_size(8, 8)
+fn read_framebuffer(@builtin(global_invocation_id) id: vec3u) {
+    if is_outside(id) {
+        return;
+    }
+    let pixel = pixel_of(id);
+    store(id, textureLoad(color_target, pixel, 0).rgb, textureLoad(transmittance_target, pixel, 0).x);
+}

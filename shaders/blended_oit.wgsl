@@ -1,0 +1,33 @@
+// Blended OIT (McGuire & Bavoil 2013, eq. 5): the average colour at the exact coverage.
+
+struct Targets {
+    @location(0) accumulation: vec4f,
+    @location(1) revealage: vec4f,
+}
+
+@fragment
+fn accumulate(placed: Placed) -> Targets {
+    let fragment = fragment_of(placed);
+    return Targets(vec4f(fragment.color, fragment.alpha), vec4f(fragment.alpha));
+}
+
+struct Params {
+    // the accumulation's largest finite number
+    largest: f32,
+}
+
+@group(0) @binding(3) var<uniform> params: Params;
+@group(2) @binding(0) var accumulation: texture_2d<f32>;
+@group(2) @binding(1) var revealage: texture_2d<f32>;
+
+@compute @workgroup_size(8, 8)
+fn resolve(@builtin(global_invocation_id) id: vec3u) {
+    if is_outside(id) {
+        return;
+    }
+    let pixel = pixel_of(id);
+    let sums = min(textureLoad(accumulation, pixel, 0), vec4f(params.largest));
+    let r = textureLoad(revealage, pixel, 0).x;
+    let average = select(vec3f(0.0), sums.rgb * ((1.0 - r) / sums.a), sums.a > 0.0);
+    store(id, average + r * background_at(pixel), r);
+}

@@ -1,0 +1,35 @@
+// Sums of two f32, for what one f32 cannot hold. No step may be reassociated; contracting a product and a sum into one
+// operation changes nothing, since the products are exact.
+
+// a + b, and what rounding took away from it (Knuth 1969).
+fn two_sum(a: f32, b: f32) -> vec2f {
+    let sum = a + b;
+    let part = sum - a;
+    return vec2f(sum, (a - (sum - part)) + (b - part));
+}
+
+// The first half of a number's digits: products of halves are exact.
+fn upper_half(x: f32) -> f32 {
+    return bitcast<f32>(bitcast<u32>(x) & 0xfffff000u);
+}
+
+// at + x d.x + y d.y, for whole d of less than 2^14: the steps come in parts of ten digits, and a rest.
+fn linear(at: vec2f, x: vec3f, y: vec3f, d: vec2f) -> vec2f {
+    let s1 = two_sum(at.x, x.x * d.x);
+    let s2 = two_sum(s1.x, y.x * d.y);
+    let s3 = two_sum(s2.x, x.y * d.x);
+    let s4 = two_sum(s3.x, y.y * d.y);
+    let rest = at.y + (x.z * d.x + y.z * d.y);
+    return two_sum(s4.x, (s1.y + s2.y) + (s3.y + s4.y) + rest);
+}
+
+// 1 / x, rounded once but for one time in thousands.
+fn reciprocal(x: vec2f) -> f32 {
+    let q = 1.0 / x.x;
+    let q_upper = upper_half(q);
+    let q_lower = q - q_upper;
+    let x_upper = upper_half(x.x);
+    let x_lower = x.x - x_upper;
+    let residual = (((1.0 - q_upper * x_upper) - q_upper * x_lower) - q_lower * x_upper) - q_lower * x_lower;
+    return q + q * (residual - q * x.y);
+}

@@ -1,0 +1,196 @@
+// From a snapped primitive to its fragments: coverage, depth, colour and occlusion as the CPU backend defines them.
+
+struct Primitive {
+    // corners on the screen in sub-pixels, of which a pixel has 256; the fourth pair is the anchor, in pixels
+    corners: array<vec2i, 3>,
+    anchor: vec2i,
+    // the depth function at the anchor in two parts, and the range of depths
+    depth_at: vec2f,
+    depth_range: vec2f,
+    // its steps to the next pixel in three parts
+    depth_x: vec3f,
+    // where the outline begins, if it is that of a polygon ...
+    outline: u32,
+    depth_y: vec3f,
+    // ... and how many corners it has; a triangle has none
+    outline_count: u32,
+    // premultiplied, if it is the same everywhere
+    color: vec4f,
+    id: u32,
+    // where to look for colours that vary
+    varying_color: u32,
+}
+
+struct VaryingColor {
+    // value at the anchor and steps, of each corner's weight
+    weights: array<vec4f, 3>,
+    // premultiplied
+    corners: array<vec4f, 3>,
+    // alphas at the corners and the least that passes; below zero, all pass
+    mask: vec4f,
+}
+
+@group(1) @binding(0) var<storage, read> primitives: array<Primitive>;
+@group(1) @binding(1) var<storage, read> varying_colors: array<VaryingColor>;
+@group(1) @binding(2) var<storage, read> outlines: array<vec2i>;
+
+// Depth functions are those of the inverse depth.
+override perspective: bool = true;
+// Fragments that neither cover nor emit are fragments, too.
+override shows_zero_fragments: bool = false;
+
+const NO_VARYING_COLOR = 0xffffffffu;
+const CENTER = 128;
+
+struct Placed {
+    @builtin(position) position: vec4f,
+    @location(0) @interpolate(flat, either) depth_at: vec4f,
+    @location(1) @interpolate(flat, either) depth_x: vec3f,
+    @location(2) @interpolate(flat, either) depth_y: vec3f,
+    @location(3) @interpolate(flat, either) color: vec4f,
+    // id, varying colour, outline and its number of corners
+    @location(4) @interpolate(flat, either) meta_data: vec4u,
+    @location(5) @interpolate(flat, either) anchor: vec2i,
+}
+
+struct Fragment {
+    pixel: vec2u,
+    depth: f32,
+    color: vec3f,
+    alpha: f32,
+    primitive: u32,
+}
+
+// Corners keep all their bits: the viewport's size is a power of two.
+@vertex
+fn place(@builtin(vertex_index) index: u32) -> Placed {
+    let primitive = &primitives[index / 3u];
+    let offset = vec2f((*primitive).corners[index % 3u] - frame.viewport_center) / (256.0 * frame.half_viewport);
+    var placed: Placed;
+    placed.position = vec4f(offset.x, -offset.y, 0.5, 1.0);
+    placed.depth_at = vec4f((*primitive).depth_at, (*primitive).depth_range);
+    placed.depth_x = (*primitive).depth_x;
+    placed.depth_y = (*primitive).depth_y;
+    placed.color = (*primitive).color;
+    placed.meta_data = vec4u(
+        (*primitive).id,
+        (*primitive).varying_color,
+        (*primitive).outline,
+        (*primitive).outline_count,
+    );
+    placed.anchor = (*primitive).anchor;
+    return placed;
+}
+
+// a b as upper and lower half.
+fn wide_product(a: u32, b: u32) -> vec2u {
+    let low = (a & 0xffffu) * (b & 0xffffu);
+    let middle = (a >> 16u) * (b & 0xffffu) + (low >> 16u);
+    let other = (a & 0xffffu) * (b >> 16u) + (middle & 0xffffu);
+    return vec2u((a >> 16u) * (b >> 16u) + (middle >> 16u) + (other >> 16u), (other << 16u) | (low & 0xffffu));
+}
+
+// a b <= c d, for a and d that are not negative.
+fn product_is_at_most(a: i32, b: i32, c: i32, d: i32) -> bool {
+    let left = wide_product(u32(a), u32(abs(b)));
+    let right = wide_product(u32(abs(c)), u32(d));
+    let left_is_less = left.x < right.x || (left.x == right.x && left.y < right.y);
+    let are_equal = left.x == right.x && left.y == right.y;
+    let left_is_negative = b < 0 && (left.x != 0u || left.y != 0u);
+    let right_is_negative = c < 0 && (right.x != 0u || right.y != 0u);
+    if left_is_negative != right_is_negative {
+        return left_is_negative;
+    }
+    return are_equal || left_is_less != left_is_negative;
+}
+
+// Whether a pixel's centre is to the right of an odd number of the outline's edges, which have their top in and their
+// bottom out.
+fn outline_covers(first: u32, count: u32, pixel: vec2u) -> bool {
+    let center = vec2i(pixel) * 256 + CENTER;
+    var inside = false;
+    for (var i = 0u; i < count; i++) {
+        let a = outlines[first + i];
+        let b = outlines[first + (i + 1u) % count];
+        let upward = b.y < a.y;
+        let top = select(a, b, upward);
+        let bottom = select(b, a, upward);
+        if top.y <= center.y && center.y < bottom.y {
+            let edge = bottom - top;
+            let from_top = center - top;
+            if product_is_at_most(from_top.y, edge.x, from_top.x, edge.y) {
+                inside = !inside;
+            }
+        }
+    }
+    return inside;
+}
+
+fn depth_of(placed: Placed, d: vec2f) -> f32 {
+    let nearest = placed.depth_at.z;
+    let farthest = placed.depth_at.w;
+    if nearest == farthest {
+        return nearest;
+    }
+    let value = linear(placed.depth_at.xy, placed.depth_x, placed.depth_y, d);
+    var depth = value.x;
+    if perspective {
+        // the function is that of a power of two over the depth
+        depth = bitcast<f32>(bitcast<u32>(farthest) & 0x7f800000u) * reciprocal(value);
+    }
+    // comparisons that a number which is none does not pass
+    depth = select(nearest, depth, depth > nearest);
+    return select(farthest, depth, depth < farthest);
+}
+
+// The weighted mean of three colours, never outside their range.
+fn mean_color(colors: array<vec4f, 3>, weights: vec3f) -> vec4f {
+    let mean = weights.x * colors[0] + weights.y * colors[1] + weights.z * colors[2];
+    let least = min(min(colors[0], colors[1]), colors[2]);
+    return clamp(mean, least, max(max(colors[0], colors[1]), colors[2]));
+}
+
+fn varying_color_at(index: u32, d: vec2f) -> vec4f {
+    let colors_of = varying_colors[index];
+    var weights: vec3f;
+    for (var i = 0; i < 3; i++) {
+        let weight = colors_of.weights[i];
+        weights[i] = max(weight.x + weight.y * d.x + weight.z * d.y, 0.0);
+    }
+    let sum = weights.x + weights.y + weights.z;
+    weights = select(vec3f(1.0 / 3.0), weights / sum, sum > 0.0);
+    if colors_of.mask.w >= 0.0 {
+        let alphas = colors_of.mask.xyz;
+        let least = min(min(alphas.x, alphas.y), alphas.z);
+        let alpha = clamp(dot(weights, alphas), least, max(max(alphas.x, alphas.y), alphas.z));
+        if alpha < colors_of.mask.w {
+            discard;
+        }
+    }
+    return mean_color(colors_of.corners, weights);
+}
+
+// What is to be seen of a primitive in a pixel; nothing of what is not.
+fn fragment_of(placed: Placed) -> Fragment {
+    var fragment: Fragment;
+    fragment.pixel = vec2u(placed.position.xy);
+    fragment.primitive = placed.meta_data.x;
+    if placed.meta_data.w > 0u && !outline_covers(placed.meta_data.z, placed.meta_data.w, fragment.pixel) {
+        discard;
+    }
+    let d = vec2f(vec2i(fragment.pixel) - placed.anchor);
+    fragment.depth = depth_of(placed, d);
+    if frame.has_opaque != 0u && fragment.depth > textureLoad(opaque_depth, fragment.pixel, 0).x {
+        discard;
+    }
+    var color = placed.color;
+    if placed.meta_data.y != NO_VARYING_COLOR {
+        color = varying_color_at(placed.meta_data.y, d);
+    }
+    fragment.color = color.rgb;
+    fragment.alpha = color.a;
+    if !shows_zero_fragments && all(color == vec4f(0.0)) {
+        discard;
+    }
+    return fragment;
+}

@@ -1,0 +1,33 @@
+// What every shader knows of the image at hand, and what lies behind its transparent fragments.
+
+struct Frame {
+    // pixels
+    size: vec2u,
+    // the rows that are being worked on
+    first_row: u32,
+    rows: u32,
+    // the centre of the viewport, in sub-pixels, and half its size
+    viewport_center: vec2i,
+    half_viewport: f32,
+    has_opaque: u32,
+    background: vec3f,
+}
+
+@group(0) @binding(0) var<uniform> frame: Frame;
+@group(0) @binding(1) var opaque_depth: texture_2d<f32>;
+@group(0) @binding(2) var opaque_color: texture_2d<f32>;
+
+const LARGEST = 3.4028234e38;
+
+// The opaque colour behind a pixel.
+fn background_at(pixel: vec2u) -> vec3f {
+    if frame.has_opaque == 0u {
+        return frame.background;
+    }
+    return textureLoad(opaque_color, pixel, 0).rgb;
+}
+
+// Where a pixel's numbers are among those of the whole image.
+fn place_of(pixel: vec2u) -> u32 {
+    return pixel.y * frame.size.x + pixel.x;
+}

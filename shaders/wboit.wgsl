@@ -1,0 +1,89 @@
+// Weighted blended OIT (McGuire & Bavoil 2013, eq. 6), in the target layouts of its listings.
+
+struct Params {
+    weight: Weight,
+    // the largest finite numbers of the targets of sums
+    largest: f32,
+    largest_weights: f32,
+    // the sum of weights is clamped as Listing 3 is printed
+    listing3_clamp: u32,
+}
+
+@group(0) @binding(3) var<uniform> params: Params;
+
+struct Listing3 {
+    @location(0) accumulation: vec4f,
+    @location(1) revealage: vec4f,
+}
+
+@fragment
+fn accumulate_listing3(placed: Placed) -> Listing3 {
+    let fragment = fragment_of(placed);
+    let weight = weight_of(params.weight, fragment.depth, fragment.alpha);
+    return Listing3(weight * vec4f(fragment.color, fragment.alpha), vec4f(fragment.alpha));
+}
+
+struct Listing4 {
+    // (w C, R): the blend unit multiplies R by 1 - alpha
+    @location(0) accumulation: vec4f,
+    @location(1) weights: vec4f,
+}
+
+@fragment
+fn accumulate_listing4(placed: Placed) -> Listing4 {
+    let fragment = fragment_of(placed);
+    let weight = weight_of(params.weight, fragment.depth, fragment.alpha);
+    return Listing4(vec4f(weight * fragment.color, fragment.alpha), vec4f(weight * fragment.alpha));
+}
+
+// (w luminance, w alpha, 0, R): MB13 section 3.4.
+@fragment
+fn accumulate_monochrome(placed: Placed) -> @location(0) vec4f {
+    let fragment = fragment_of(placed);
+    let weight = weight_of(params.weight, fragment.depth, fragment.alpha);
+    let luminance = dot(fragment.color, vec3f(0.2126, 0.7152, 0.0722));
+    return vec4f(weight * luminance, weight * fragment.alpha, 0.0, fragment.alpha);
+}
+
+@group(2) @binding(0) var accumulation: texture_2d<f32>;
+// R, or the sum of weighted alphas
+@group(2) @binding(1) var second: texture_2d<f32>;
+
+fn cover(id: vec3u, color: vec3f, weights: f32, r: f32) {
+    var share = 0.0;
+    if params.listing3_clamp != 0u {
+        share = (1.0 - r) / clamp(weights, 1e-4, 5e4);
+    } else if weights > 0.0 {
+        share = (1.0 - r) / weights;
+    }
+    store(id, color * share + r * background_at(pixel_of(id)), r);
+}
+
+@compute @workgroup_size(8, 8)
+fn resolve_listing3(@builtin(global_invocation_id) id: vec3u) {
+    if is_outside(id) {
+        return;
+    }
+    let sums = min(textureLoad(accumulation, pixel_of(id), 0), vec4f(params.largest));
+    cover(id, sums.rgb, sums.a, textureLoad(second, pixel_of(id), 0).x);
+}
+
+@compute @workgroup_size(8, 8)
+fn resolve_listing4(@builtin(global_invocation_id) id: vec3u) {
+    if is_outside(id) {
+        return;
+    }
+    let texel = textureLoad(accumulation, pixel_of(id), 0);
+    let weights = min(textureLoad(second, pixel_of(id), 0).x, params.largest_weights);
+    cover(id, min(texel.rgb, vec3f(params.largest)), weights, texel.a);
+}
+
+@compute @workgroup_size(8, 8)
+fn resolve_monochrome(@builtin(global_invocation_id) id: vec3u) {
+    if is_outside(id) {
+        return;
+    }
+    let texel = textureLoad(accumulation, pixel_of(id), 0);
+    let sums = min(texel.xy, vec2f(params.largest));
+    cover(id, vec3f(sums.x), sums.y, texel.a);
+}

@@ -1,0 +1,53 @@
+// Weighted average (Bavoil & Myers 2008; MB13 eq. 4 and Listing 2): as many copies of the mean fragment as there are
+// fragments.
+
+struct Targets {
+    @location(0) accumulation: vec4f,
+    @location(1) count: vec4f,
+}
+
+@fragment
+fn accumulate(placed: Placed) -> Targets {
+    let fragment = fragment_of(placed);
+    return Targets(vec4f(fragment.color, fragment.alpha), vec4f(1.0));
+}
+
+struct Params {
+    // the accumulation's largest finite number
+    largest: f32,
+}
+
+@group(0) @binding(3) var<uniform> params: Params;
+@group(2) @binding(0) var accumulation: texture_2d<f32>;
+@group(2) @binding(1) var count_target: texture_2d<f32>;
+
+// What `count` layers of that coverage cover together, and what they leave: layers are doubled, which is exact for faint
+// ones, too, where powers of 1 - coverage are not.
+fn repeated(coverage: f32, count: u32) -> vec2f {
+    var layers = vec2f(coverage, 1.0 - coverage);
+    var all = vec2f(0.0, 1.0);
+    for (var rest = count; rest > 0u; rest >>= 1u) {
+        if (rest & 1u) == 1u {
+            all = vec2f(all.x + all.y * layers.x, all.y * layers.y);
+        }
+        layers = vec2f(layers.x * (1.0 + layers.y), layers.y * layers.y);
+    }
+    return all;
+}
+
+@compute @workgroup_size(8, 8)
+fn resolve(@builtin(global_invocation_id) id: vec3u) {
+    if is_outside(id) {
+        return;
+    }
+    let pixel = pixel_of(id);
+    let background = background_at(pixel);
+    let sums = min(textureLoad(accumulation, pixel, 0), vec4f(params.largest));
+    if sums.a <= 0.0 {
+        store(id, background, 1.0);
+        return;
+    }
+    let count = max(textureLoad(count_target, pixel, 0).x, 1.0);
+    let shares = repeated(min(sums.a / count, 1.0), u32(count));
+    store(id, shares.x * (sums.rgb / sums.a) + shares.y * background, shares.y);
+}

@@ -1,0 +1,26 @@
+// Sort-independent alpha blending (Meshkin 2007; MB13 eq. 3 and Listing 1).
+
+@fragment
+fn accumulate(placed: Placed) -> @location(0) vec4f {
+    let fragment = fragment_of(placed);
+    return vec4f(fragment.color, fragment.alpha);
+}
+
+struct Params {
+    // the accumulation's largest finite number
+    largest: f32,
+}
+
+@group(0) @binding(3) var<uniform> params: Params;
+@group(2) @binding(0) var accumulation: texture_2d<f32>;
+
+@compute @workgroup_size(8, 8)
+fn resolve(@builtin(global_invocation_id) id: vec3u) {
+    if is_outside(id) {
+        return;
+    }
+    let pixel = pixel_of(id);
+    let sums = min(textureLoad(accumulation, pixel, 0), vec4f(params.largest));
+    let transmittance = 1.0 - sums.a;
+    store(id, sums.rgb + transmittance * background_at(pixel), transmittance);
+}

@@ -1,0 +1,280 @@
+//! What a technique is on a GPU, as data: its shader, its render targets and how the blend unit works on them, or that
+//! it wants every fragment. Forms know no device, so the registry can say what has one in any build.
+
+use crate::error::Result;
+use crate::format::{Format, Formats};
+use crate::params::{Params, View};
+
+/// A technique's entry in the registry: makes its form under params, or refuses params that have none.
+pub type MakeForm = fn(&Params, &View) -> Result<Form>;
+
+/// A technique on a GPU, with its params bound.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Form {
+    /// The technique's shader: its file under `shaders/`, without the shared blocks.
+    pub shader: &'static str,
+    /// The members of the shader's `Params`, in order.
+    pub numbers: Vec<Number>,
+    /// How it gets its fragments.
+    pub path: Path,
+    /// Whether fragments that neither cover nor emit are shown to it.
+    pub shows_zero_fragments: bool,
+    /// Whether the background's share is one per channel.
+    pub colored_transmittance: bool,
+}
+
+/// A member of a shader's uniform block.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Number {
+    /// An `f32`.
+    Float(f32),
+    /// A `u32`.
+    Whole(u32),
+}
+
+impl Number {
+    /// The bits that the shader reads.
+    pub fn bits(self) -> u32 {
+        match self {
+            Self::Float(x) => x.to_bits(),
+            Self::Whole(n) => n,
+        }
+    }
+
+    /// A double as the shader's float.
+    #[expect(clippy::cast_possible_truncation, reason = "shaders compute in f32")]
+    pub fn float(x: f64) -> Self {
+        Self::Float(x.clamp(f64::from(f32::MIN), f64::from(f32::MAX)) as f32)
+    }
+}
+
+/// How a technique gets its fragments.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Path {
+    /// Through the blend unit, in submission order.
+    Blended(Blending),
+    /// As lists sorted by (depth, primitive), of which the compute shader of this name makes the image.
+    Sorted {
+        /// The entry point.
+        resolve: &'static str,
+    },
+}
+
+/// One pass over the geometry into render targets, and one over the image that reads them.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Blending {
+    /// The fragment shader's entry point.
+    pub draw: &'static str,
+    /// The compute shader's.
+    pub resolve: &'static str,
+    /// What is drawn into.
+    pub targets: Vec<BlendTarget>,
+    /// Whether the first target holds the background when drawing begins.
+    pub over_background: bool,
+}
+
+/// A render target.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct BlendTarget {
+    /// The param that chooses its format.
+    pub param: &'static str,
+    /// The format.
+    pub format: Format,
+    /// Numbers per texel.
+    pub channels: u32,
+    /// What its texels are at first.
+    pub clear: [f64; 4],
+    /// What becomes of the colour channels ...
+    pub color: Blend,
+    /// ... and of alpha.
+    pub alpha: Blend,
+}
+
+/// What a blend unit makes of a source and what is there.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Blend {
+    /// source + there.
+    Add,
+    /// source + (1 − source alpha) there.
+    Over,
+    /// (1 − source) there, channel by channel.
+    Attenuate,
+    /// source there, channel by channel.
+    Multiply,
+}
+
+/// A shared part of the shaders.
+const FRAME: &str = include_str!("../../shaders/blocks/frame.wgsl");
+const DOUBLE: &str = include_str!("../../shaders/blocks/double.wgsl");
+const FRAGMENT: &str = include_str!("../../shaders/blocks/fragment.wgsl");
+const WEIGHT: &str = include_str!("../../shaders/blocks/weight.wgsl");
+const RESOLVE: &str = include_str!("../../shaders/blocks/resolve.wgsl");
+const LISTS: &str = include_str!("../../shaders/blocks/lists.wgsl");
+const BACKGROUND: &str = include_str!("../../shaders/blocks/background.wgsl");
+
+/// The module that counts, stores and sorts fragments, and the one that puts the background into a target: no
+/// technique's own.
+pub fn list_module() -> String {
+    [FRAME, DOUBLE, FRAGMENT, LISTS].join("\n")
+}
+
+/// See [`list_module`].
+pub fn background_module() -> String {
+    [FRAME, BACKGROUND].join("\n")
+}
+
+impl Form {
+    /// The shader with the blocks that it may use.
+    pub fn module(&self) -> String {
+        let lists = if matches!(self.path, Path::Sorted { .. }) { LISTS } else { "" };
+        [FRAME, DOUBLE, FRAGMENT, WEIGHT, RESOLVE, lists, self.shader].join("\n")
+    }
+}
+
+impl BlendTarget {
+    /// Sums that begin with zero.
+    pub fn sums(param: &'static str, format: Format, channels: u32) -> Self {
+        Self { param, format, channels, clear: [0.0; 4], color: Blend::Add, alpha: Blend::Add }
+    }
+
+    /// A product of 1 − source, or of sources, that begins with one.
+    pub fn product(param: &'static str, format: Format, channels: u32, blend: Blend) -> Self {
+        Self { param, format, channels, clear: [1.0; 4], color: blend, alpha: blend }
+    }
+
+    /// The same with a product of 1 − alpha in the alpha channel.
+    pub fn with_share(mut self) -> Self {
+        self.clear[3] = 1.0;
+        self.alpha = Blend::Attenuate;
+        self
+    }
+}
+
+/// The format that a target named `name` has on a device. What the CPU keeps in double precision by default stands for
+/// an f32 target.
+///
+/// # Errors
+/// `Error::Param` naming the param, if no device blends that format.
+pub fn target_format(
+    params: &Params,
+    formats: &Formats,
+    name: &str,
+    param: &'static str,
+    accepted: &[Format],
+) -> Result<Format> {
+    let format = formats.of(name);
+    let by_default = format == Format::F64 && params.text("format") == Format::F32.name();
+    let format = if by_default { Format::F32 } else { format };
+    if accepted.contains(&format) {
+        return Ok(format);
+    }
+    let names: Vec<_> = accepted.iter().map(|format| format!("{:?}", format.name())).collect();
+    let problem = format!("{param}={:?} has no form on the backend \"gpu\"", format.name());
+    Err(params.error(problem, &format!("there it is one of {}", names.join(", "))))
+}
+
+/// Refuses what no form does.
+///
+/// # Errors
+/// `Error::Param` saying that param `name` has to be `only`.
+pub fn only(params: &Params, name: &str, only: &str) -> Result<()> {
+    let given = params.text(name);
+    if given == only {
+        return Ok(());
+    }
+    let problem = format!("{name}={given:?} has no form on the backend \"gpu\"");
+    Err(params.error(problem, &format!("there {name} is {only:?}")))
+}
+
+/// What a device's blend units may have of floats and of numbers up to one.
+pub const SUMS: &[Format] = &[Format::F32, Format::F16];
+/// See [`SUMS`].
+pub const SHARES: &[Format] = &[Format::F32, Format::F16, Format::Unorm8, Format::Unorm16];
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::params::{Input, check};
+    use crate::technique::Info;
+    use crate::techniques::REGISTRY;
+    use naga::valid::{Capabilities, ValidationFlags, Validator};
+
+    fn validated(name: &str, source: &str) -> naga::Module {
+        let module = naga::front::wgsl::parse_str(source)
+            .unwrap_or_else(|error| panic!("{name}: {}", error.emit_to_string(source)));
+        let validated = Validator::new(ValidationFlags::all(), Capabilities::empty()).validate(&module);
+        validated.unwrap_or_else(|error| panic!("{name}: {}", error.emit_to_string(source)));
+        module
+    }
+
+    fn form(info: &Info, given: &[(&str, &str)]) -> Result<Form> {
+        let table = info.param_table();
+        let owned = |(name, value): &(&str, &str)| ((*name).to_owned(), Input::Text((*value).to_owned()));
+        let checked = check(info.id, &table, &given.iter().map(owned).collect::<Vec<_>>())?;
+        let make = info.gpu.unwrap_or_else(|| panic!("{} has no form", info.id));
+        make(&checked.resolve(&table, &View::ORDINARY), &View::ORDINARY)
+    }
+
+    /// The bytes of the uniform block `Params`, and of all entry points the names.
+    fn interface(module: &naga::Module) -> (Option<u32>, Vec<&str>) {
+        let uniform = module.global_variables.iter().find(|(_, v)| v.name.as_deref() == Some("params"));
+        let size = uniform.map(|(_, v)| module.types[v.ty].inner.size(module.to_ctx()));
+        (size, module.entry_points.iter().map(|e| e.name.as_str()).collect())
+    }
+
+    #[test]
+    fn every_form_is_a_valid_shader_with_the_entry_points_and_params_it_names() {
+        let forms: Vec<_> = REGISTRY.iter().filter(|info| info.gpu.is_some()).collect();
+        assert!(forms.len() >= 8, "{}", forms.len());
+        for info in forms {
+            let form = form(info, &[]).unwrap();
+            let module = validated(info.id, &form.module());
+            let (size, names) = interface(&module);
+            let needed = match &form.path {
+                Path::Blended(blending) => vec!["place", blending.draw, blending.resolve],
+                Path::Sorted { resolve } => vec!["place", "count_fragment", "sort_lists", *resolve],
+            };
+            assert!(needed.iter().all(|name| names.contains(name)), "{}: {names:?}", info.id);
+            let bytes = u32::try_from(4 * form.numbers.len()).unwrap();
+            // a block may end in padding
+            assert_eq!(size.unwrap_or(0).next_multiple_of(16), bytes.next_multiple_of(16), "{}", info.id);
+        }
+    }
+
+    #[test]
+    fn shared_modules_are_valid() {
+        let lists = list_module();
+        let names = interface(&validated("lists", &lists)).1.join(" ");
+        for name in ["place", "count_fragment", "store_fragment", "sum_rows", "shift_rows", "sort_lists"] {
+            assert!(names.contains(name), "{names}");
+        }
+        validated("background", &background_module());
+    }
+
+    #[test]
+    fn every_layout_of_wboit_has_its_entry_points() {
+        let wboit = crate::techniques::find("wboit").unwrap();
+        for layout in ["listing3", "listing4", "monochrome"] {
+            let form = form(wboit, &[("layout", layout)]).unwrap();
+            let Path::Blended(blending) = &form.path else { panic!("{form:?}") };
+            let module = validated(layout, &form.module());
+            let names = interface(&module).1;
+            assert!(names.contains(&blending.draw) && names.contains(&blending.resolve), "{names:?}");
+        }
+    }
+
+    #[test]
+    fn what_no_device_does_is_refused_by_name() {
+        let refused = |id: &str, given: &[(&str, &str)]| {
+            form(crate::techniques::find(id).unwrap(), given).unwrap_err().to_string()
+        };
+        let message = refused("wboit", &[("summation", "fixed")]);
+        assert!(message.contains("wboit: summation=\"fixed\"") && message.contains("is \"plain\""), "{message}");
+        let message = refused("blended_oit", &[("accumulation_format", "bf16")]);
+        assert!(message.contains("accumulation_format=\"bf16\"") && message.contains("\"f16\""), "{message}");
+        let message = refused("wboit", &[("format", "f16"), ("revealage_format", "f64")]);
+        assert!(message.contains("revealage_format=\"f64\""), "{message}");
+        assert!(refused("a_buffer", &[("format", "f16")]).contains("nodes of other formats"));
+        assert!(refused("a_buffer", &[("overflow", "drop")]).contains("overflow=\"drop\""));
+    }
+}

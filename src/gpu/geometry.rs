@@ -1,0 +1,194 @@
+//! Primitives as the shaders have them: outlines that the hardware covers as the CPU does, and depth functions that lose
+//! nothing on the way to f32.
+
+use crate::raster::{Drawn, Linear, Mask, Outline, Paint, Rect, Shade, pixel_bounds_of};
+
+/// Words of a `Primitive` in `shaders/blocks/fragment.wgsl`.
+pub const PRIMITIVE: usize = 28;
+/// Words of a `VaryingColor`.
+const VARYING_COLOR: usize = 28;
+/// No varying colour.
+const NONE: u32 = u32::MAX;
+
+/// The square that the hardware maps onto its clip space. What lies in it is not clipped; its size is a power of two, so that
+/// no bit of a corner is lost on the way.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Viewport {
+    /// Its left and top edge in pixels of the image; negative.
+    pub origin: (i32, i32),
+    /// Its size in pixels.
+    pub size: u32,
+}
+
+impl Viewport {
+    /// The viewport for an image, four times as large as the image if the device allows viewports of that size.
+    #[expect(clippy::cast_possible_wrap, reason = "images are at most MAX_SIZE")]
+    pub fn new(width: u32, height: u32, limit: u32) -> Self {
+        let most = if limit.is_power_of_two() { limit } else { limit.next_power_of_two() / 2 };
+        let size = (4 * width.max(height)).next_power_of_two().min(most);
+        let begin = |extent: u32| -((size as i32 - extent as i32) / 2);
+        Self { origin: (begin(width), begin(height)), size }
+    }
+
+    /// Its centre in sub-pixels.
+    pub fn center(&self) -> (i32, i32) {
+        let half = (self.size / 2).cast_signed();
+        (256 * (self.origin.0 + half), 256 * (self.origin.1 + half))
+    }
+
+    fn holds(&self, points: &[(i32, i32)]) -> bool {
+        let (center, half) = (self.center(), 128 * self.size.cast_signed());
+        let inside = |x: i32, center: i32| (x - center).abs() < half;
+        points.iter().all(|p| inside(p.0, center.0) && inside(p.1, center.1))
+    }
+}
+
+/// Primitives for one draw call, as words.
+#[derive(Debug, Default)]
+pub struct Packed {
+    pub primitives: Vec<[u32; PRIMITIVE]>,
+    pub varying: Vec<[u32; VARYING_COLOR]>,
+    pub outlines: Vec<[i32; 2]>,
+}
+
+impl Packed {
+    /// The bytes of its largest part with one more primitive.
+    pub fn bytes_with_one_more(&self) -> u64 {
+        const CORNERS: usize = 9;
+        let words = [
+            (self.primitives.len() + 1) * PRIMITIVE,
+            (self.varying.len() + 1) * VARYING_COLOR,
+            (self.outlines.len() + CORNERS) * 2,
+        ];
+        4 * words.into_iter().max().unwrap_or(0) as u64
+    }
+
+    /// Adds a primitive.
+    #[expect(clippy::cast_possible_truncation, reason = "buffers hold far less than 2^32 records")]
+    pub fn push(&mut self, drawn: &Drawn<'_>, viewport: &Viewport, image: &Rect, perspective: bool) {
+        let mut record = Record::default();
+        self.outline(drawn, viewport, image, &mut record);
+        record.signed([drawn.anchor.0, drawn.anchor.1]);
+        let (near, far) = (drawn.range.0 as f32, drawn.range.1 as f32);
+        // the power of two below the largest depth keeps inverse depths away from f32's ends
+        let unit = if perspective { f64::from(f32::from_bits(far.to_bits() & 0x7f80_0000)) } else { 1.0 };
+        let scaled = |l: &Linear| Linear { at: l.at * unit, x: l.x * unit, y: l.y * unit };
+        let depth = scaled(&drawn.depth);
+        let upper = single(depth.at);
+        record.floats([upper, single(depth.at - f64::from(upper)), near, far]);
+        record.floats(in_parts(depth.x));
+        record.signed([record.outline.0]);
+        record.floats(in_parts(depth.y));
+        record.signed([record.outline.1]);
+        let varying = match drawn.paint {
+            Paint::Flat(color) => {
+                record.floats(color);
+                NONE
+            }
+            Paint::Varying(shade) => {
+                record.floats([0.0; 4]);
+                self.varying.push(varying_color(&shade, &drawn.weights.map(|w| scaled(&w))));
+                (self.varying.len() - 1) as u32
+            }
+        };
+        record.signed([drawn.primitive.cast_signed(), varying.cast_signed()]);
+        self.primitives.push(record.words);
+    }
+
+    /// Whole triangles in the viewport are what they are; of others the hardware draws more, and the shader leaves out what is
+    /// not theirs.
+    #[expect(clippy::cast_possible_truncation, clippy::cast_possible_wrap, reason = "few corners")]
+    fn outline(&mut self, drawn: &Drawn<'_>, viewport: &Viewport, image: &Rect, record: &mut Record) {
+        let points = drawn.outline.points();
+        if let Outline::Triangle(corners) = drawn.outline
+            && viewport.holds(points)
+        {
+            corners.iter().for_each(|&(x, y)| record.signed([x, y]));
+            return;
+        }
+        let Rect { x0, y0, x1, y1 } = pixel_bounds_of(points, image);
+        for (x, y) in [(x0, y0), (2 * x1 - x0, y0), (x0, 2 * y1 - y0)] {
+            record.signed([256 * x, 256 * y]);
+        }
+        record.outline = (self.outlines.len() as i32, points.len() as i32);
+        self.outlines.extend(points.iter().map(|&(x, y)| [x, y]));
+    }
+}
+
+/// A primitive's words as they come.
+#[derive(Default)]
+struct Record {
+    words: [u32; PRIMITIVE],
+    next: usize,
+    /// Where its outline begins and how many corners it has.
+    outline: (i32, i32),
+}
+
+impl Record {
+    fn signed<const N: usize>(&mut self, numbers: [i32; N]) {
+        numbers.iter().for_each(|n| self.word(n.cast_unsigned()));
+    }
+    fn floats<const N: usize>(&mut self, numbers: [f32; N]) {
+        numbers.iter().for_each(|x| self.word(x.to_bits()));
+    }
+    fn word(&mut self, word: u32) {
+        self.words[self.next] = word;
+        self.next += 1;
+    }
+}
+
+/// The nearest finite f32.
+#[expect(clippy::cast_possible_truncation, reason = "that is what it is for")]
+fn single(x: f64) -> f32 {
+    x.clamp(f64::from(f32::MIN), f64::from(f32::MAX)) as f32
+}
+
+/// Ten digits, ten more, and the rest: the first two times a number of up to 14 digits are exact in f32.
+fn in_parts(x: f64) -> [f32; 3] {
+    const TEN_DIGITS: u64 = !0 << 43;
+    let upper = |x: f64| f64::from_bits(single_range(x).to_bits() & TEN_DIGITS);
+    let first = upper(x);
+    let second = upper(single_range(x) - first);
+    [single(first), single(second), single(single_range(x) - first - second)]
+}
+
+fn single_range(x: f64) -> f64 {
+    x.clamp(f64::from(f32::MIN), f64::from(f32::MAX))
+}
+
+fn varying_color(shade: &Shade, weights: &[Linear; 3]) -> [u32; VARYING_COLOR] {
+    let mask = shade.mask().unwrap_or(Mask { alphas: [0.0; 3], cutoff: -1.0 });
+    let weights = weights.iter().flat_map(|w| [single(w.at), single(w.x), single(w.y), 0.0]);
+    let corners = shade.corners();
+    let floats = weights.chain(corners.into_iter().flatten()).chain(mask.alphas).chain([mask.cutoff]);
+    let mut words = [0; VARYING_COLOR];
+    words.iter_mut().zip(floats).for_each(|(word, x)| *word = x.to_bits());
+    words
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_viewport_is_a_power_of_two_around_the_image() {
+        let viewport = Viewport::new(1280, 720, 16_384);
+        assert_eq!(viewport, Viewport { origin: (-3456, -3736), size: 8192 });
+        assert_eq!(viewport.center(), (256 * 640, 256 * 360));
+        assert_eq!(Viewport::new(9000, 10, 16_384).size, 16_384);
+        assert_eq!(Viewport::new(5, 4, 10_000).size, 32);
+        assert!(viewport.holds(&[(0, 0), (-3455 * 256, 0)]) && !viewport.holds(&[(-3456 * 256, 0)]));
+    }
+
+    #[test]
+    fn parts_add_up_and_their_products_are_exact() {
+        for x in [0.123_456_789_012_345, -9.87e-7, 1.0, 3.0e9, 0.0] {
+            let parts = in_parts(x);
+            let sum: f64 = parts.iter().map(|p| f64::from(*p)).sum();
+            assert!((sum - x).abs() <= 1e-13 * x.abs(), "{x} {parts:?}");
+            for part in &parts[..2] {
+                assert_eq!(f64::from(part * 16_383.0), f64::from(*part) * 16_383.0);
+            }
+        }
+    }
+}

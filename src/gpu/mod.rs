@@ -1,0 +1,3 @@
+//! The GPU backend: devices, passes, buffers, timestamps and readback. It knows no technique by name.
+
+pub mod form;
