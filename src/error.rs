@@ -35,6 +35,9 @@ pub enum Error {
     /// There is not enough memory.
     #[error("not enough memory for {0}")]
     Memory(String),
+    /// There is no device, or it does not do what it should.
+    #[error("backend \"gpu\": {0}")]
+    Gpu(String),
     /// The caller asked to stop.
     #[error("the render was cancelled")]
     Cancelled,

@@ -142,6 +142,8 @@ pub struct Stats {
     pub dropped: u64,
     /// What was skipped, and how often.
     pub skipped: Vec<(&'static str, u64)>,
+    /// What rendered it.
+    pub backend: &'static str,
     /// Threads that worked.
     pub threads: usize,
 }

@@ -98,6 +98,32 @@ fn back_to_front(primitives: impl Iterator<Item = (u32, f64)>) -> Vec<u32> {
     sorted.into_iter().map(|(id, _)| id).collect()
 }
 
+impl SubmissionOrder {
+    /// Whether it is one of whole primitives, so that every pixel gets its fragments in the same one.
+    pub fn is_of_primitives(self) -> bool {
+        !matches!(self, Self::Sorted | Self::BackToFront)
+    }
+
+    /// Where in the list of primitive `ids` the first primitive is that comes in this order, where the second, and so on;
+    /// as they are in an order of fragments.
+    #[expect(clippy::cast_possible_truncation, reason = "primitive ids are u32")]
+    pub fn of_primitives(self, ids: &[u32], centroids: Option<&CentroidOrder>) -> Vec<u32> {
+        let mut places: Vec<_> = (0..ids.len() as u32).collect();
+        let id = |place: &u32| ids[*place as usize];
+        match self {
+            Self::AsIs | Self::Sorted | Self::BackToFront => {}
+            Self::Reversed => places.reverse(),
+            Self::Shuffled { seed } => {
+                places.par_sort_by_key(|place| (hash32(0, 0, id(place), seed, SHUFFLE_BLOCK), id(place)));
+            }
+            Self::Centroid => {
+                places.par_sort_by_key(|place| centroids.map_or(0, |order| order.place(id(place))));
+            }
+        }
+        places
+    }
+}
+
 /// Copies lists into another order, reusing its memory.
 #[derive(Debug, Default)]
 pub struct Reorderer {
@@ -201,6 +227,21 @@ mod tests {
         assert_eq!(order(SubmissionOrder::BackToFront), [3, 0, 1, 2]);
         let centroid = |depths: &[f64]| primitives(LIST, SubmissionOrder::Centroid, depths);
         assert_eq!(centroid(&[5.0, 4.0, 9.0, 5.0]), [2, 3, 0, 1]);
+    }
+
+    /// In a pixel that every primitive has a fragment in.
+    #[test]
+    fn primitives_come_as_their_fragments_do() {
+        let depths = [5.0, 4.0, 9.0, 5.0];
+        let ids: Vec<_> = LIST.iter().map(|fragment| fragment.1).collect();
+        let centroids = CentroidOrder::of_all(&depths);
+        let orders = [SubmissionOrder::AsIs, SubmissionOrder::Reversed, SubmissionOrder::Centroid];
+        for order in orders.into_iter().chain((0..3).map(|seed| SubmissionOrder::Shuffled { seed })) {
+            let places = order.of_primitives(&ids, Some(&centroids));
+            let got: Vec<_> = places.iter().map(|place| ids[*place as usize]).collect();
+            assert!(order.is_of_primitives());
+            assert_eq!(got, primitives(LIST, order, &depths), "{order:?}");
+        }
     }
 
     #[test]

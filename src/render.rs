@@ -3,6 +3,8 @@
 mod capture;
 mod depth;
 mod diagnose;
+#[cfg(feature = "gpu")]
+mod gpu;
 mod image;
 mod inspect;
 mod plan;
@@ -12,6 +14,8 @@ mod tiles;
 pub use capture::capture;
 pub use depth::{DepthImages, depth_images};
 pub use diagnose::{Diagnostics, diagnose};
+#[cfg(feature = "gpu")]
+pub use gpu::render_on_gpu;
 pub use inspect::{Transmittance, cost, order_sensitivity, transmittance};
 
 use crate::error::{Error, Result};
@@ -357,6 +361,7 @@ impl<'a> Job<'a> {
                 ("layered_tiles", of_over(tally.layered_tiles)),
                 ("duplicate_variants", u64::from(duplicate)),
             ],
+            backend: "cpu",
             threads: clock.threads,
         }
     }

@@ -20,7 +20,7 @@ const HOW_TO_GET_A_DRIVER: &str = "a Vulkan (Linux, Windows), D3D12 or Metal dri
 const PATIENCE: Duration = Duration::from_millis(20);
 
 /// A device with its queue.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub struct Connection {
     pub adapter: Adapter,
     pub info: AdapterInfo,

@@ -78,7 +78,7 @@ pub fn info<'py>(py: Python<'py>, info: &Info) -> PyResult<Bound<'py, PyDict>> {
     dict.set_item("properties", properties(py, info)?)?;
     let params = info.param_table().iter().map(|spec| param(py, spec)).collect::<PyResult<Vec<_>>>()?;
     dict.set_item("params", params)?;
-    dict.set_item("backends", ["cpu"])?;
+    dict.set_item("backends", info.backends())?;
     dict.set_item("geometry_passes", info.geometry_passes)?;
     dict.set_item("bytes_per_pixel", info.bytes_per_pixel)?;
     Ok(dict)

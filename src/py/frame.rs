@@ -101,7 +101,7 @@ impl PyFrame {
             skipped.set_item(what, count)?;
         }
         dict.set_item("skipped", skipped)?;
-        dict.set_item("backend", "cpu")?;
+        dict.set_item("backend", stats.backend)?;
         dict.set_item("threads", stats.threads)?;
         Ok(dict)
     }

@@ -5,6 +5,7 @@ mod arrays;
 mod convert;
 mod fragments;
 mod frame;
+mod gpu;
 mod run;
 mod scene;
 
@@ -20,6 +21,8 @@ mod extension {
     #[pymodule_export]
     use super::frame::PyFrame;
     #[pymodule_export]
+    use super::gpu::{gpu_info, render_gpu};
+    #[pymodule_export]
     use super::run::{capture, cost, diagnose, order_sensitivity, render, techniques, transmittance};
     #[pymodule_export]
     use super::scene::{PyCamera, PyMesh, PyScene};
@@ -27,7 +30,9 @@ mod extension {
     #[pymodule_init]
     fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
         module.add("__version__", env!("CARGO_PKG_VERSION"))?;
-        module.add("build_features", ("python",))
+        let features = ["python", "gpu"];
+        let built = features.into_iter().filter(|name| *name != "gpu" || cfg!(feature = "gpu"));
+        module.add("build_features", pyo3::types::PyTuple::new(module.py(), built.collect::<Vec<_>>())?)
     }
 }
 
@@ -35,6 +40,7 @@ impl From<crate::Error> for PyErr {
     fn from(error: crate::Error) -> Self {
         match error {
             crate::Error::Cancelled => pyo3::exceptions::PyKeyboardInterrupt::new_err(error.to_string()),
+            crate::Error::Gpu(_) => pyo3::exceptions::PyRuntimeError::new_err(error.to_string()),
             crate::Error::Memory(_) => pyo3::exceptions::PyMemoryError::new_err(error.to_string()),
             error => pyo3::exceptions::PyValueError::new_err(error.to_string()),
         }

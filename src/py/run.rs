@@ -31,7 +31,7 @@ pub enum AnySource {
 }
 
 impl AnySource {
-    fn extract(source: &Bound<'_, PyAny>) -> PyResult<Self> {
+    pub fn extract(source: &Bound<'_, PyAny>) -> PyResult<Self> {
         if let Ok(scene) = source.cast::<PyScene>() {
             return Ok(Self::Scene(Arc::clone(&scene.get().0)));
         }
@@ -40,13 +40,13 @@ impl AnySource {
         }
         Err(PyTypeError::new_err(format!("source: {} is neither Scene nor Fragments", source.get_type())))
     }
-    fn as_source(&self) -> Source<'_> {
+    pub fn as_source(&self) -> Source<'_> {
         match self {
             Self::Scene(scene) => Source::Scene(scene),
             Self::Fragments(fragments) => Source::Fragments(fragments),
         }
     }
-    fn share(&self) -> Self {
+    pub fn share(&self) -> Self {
         match self {
             Self::Scene(scene) => Self::Scene(Arc::clone(scene)),
             Self::Fragments(fragments) => Self::Fragments(Arc::clone(fragments)),
@@ -81,7 +81,7 @@ const SIGNAL_INTERVAL: Duration = Duration::from_millis(20);
 
 /// Runs `work` on another thread, detached from the interpreter. On a signal such as Ctrl-C it is told to stop
 /// and left to wind down by itself, so that the interpreter has control again at once.
-fn interruptible<T: Send + 'static>(
+pub fn interruptible<T: Send + 'static>(
     py: Python<'_>,
     work: impl FnOnce(&(dyn Fn() -> bool + Sync)) -> Result<T> + Send + 'static,
 ) -> PyResult<T> {
@@ -116,7 +116,7 @@ fn interruptible<T: Send + 'static>(
     })
 }
 
-fn options(threads: Option<i64>, skip: bool) -> Result<Options> {
+pub fn options(threads: Option<i64>, skip: bool) -> Result<Options> {
     let count = |n: i64| {
         let fault = || crate::Error::argument("threads", format!("{n} is not in [1, 1024]"));
         usize::try_from(n).ok().filter(|n| (1..=1024).contains(n)).ok_or_else(fault)

@@ -1,0 +1,80 @@
+//! What there is to say about the device.
+
+use super::device::Connection;
+use super::form::{Form, Path};
+use super::shared::with_gpu;
+use crate::error::Result;
+use crate::params::{View, check};
+use crate::technique;
+use crate::techniques::REGISTRY;
+use wgpu::Features;
+
+/// A device, and what it can do.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Info {
+    /// Name of the adapter, driver and the like.
+    pub texts: Vec<(&'static str, String)>,
+    /// Features that techniques make use of, and whether they are there.
+    pub features: Vec<(&'static str, bool)>,
+    /// Limits that images and scenes may meet.
+    pub limits: Vec<(&'static str, u64)>,
+    /// The techniques that it runs with their default params.
+    pub techniques: Vec<&'static str>,
+    /// The others, and why not.
+    pub refused: Vec<(&'static str, String)>,
+}
+
+/// What there is to say about the device of this process.
+///
+/// # Errors
+/// [`crate::Error::Gpu`] if there is none.
+pub fn info() -> Result<Info> {
+    with_gpu(|shared| {
+        let connection = shared.connection();
+        let mut info = describe(connection);
+        for technique in REGISTRY {
+            match why_not(connection, technique) {
+                None => info.techniques.push(technique.id),
+                Some(why) => info.refused.push((technique.id, why)),
+            }
+        }
+        Ok(info)
+    })
+}
+
+fn describe(connection: &Connection) -> Info {
+    let Connection { info, features, limits, .. } = connection;
+    let texts = vec![
+        ("adapter", info.name.clone()),
+        ("kind", format!("{:?}", info.device_type)),
+        ("driver", info.driver.clone()),
+        ("driver_info", info.driver_info.clone()),
+        ("interface", info.backend.to_string()),
+    ];
+    let has = |feature| features.contains(feature);
+    let features = vec![
+        ("timestamps", has(Features::TIMESTAMP_QUERY)),
+        ("float32_blending", has(Features::FLOAT32_BLENDABLE)),
+        ("unorm16", has(Features::TEXTURE_FORMAT_16BIT_NORM)),
+    ];
+    let limits = vec![
+        ("image_side", u64::from(limits.max_texture_dimension_2d)),
+        ("buffer_bytes", limits.max_buffer_size),
+        ("binding_bytes", u64::from(limits.max_storage_buffer_binding_size)),
+        ("target_bytes_per_pixel", u64::from(limits.max_color_attachment_bytes_per_sample)),
+    ];
+    Info { texts, features, limits, techniques: Vec::new(), refused: Vec::new() }
+}
+
+/// Why the device does not run a technique with its default params; none if it does.
+fn why_not(connection: &Connection, technique: &technique::Info) -> Option<String> {
+    let Some(make) = technique.gpu else { return Some("has no GPU form yet".to_owned()) };
+    let table = technique.param_table();
+    let form: Result<Form> = check(technique.id, &table, &[])
+        .and_then(|checked| make(&checked.resolve(&table, &View::ORDINARY), &View::ORDINARY));
+    let fits = form.and_then(|form| match &form.path {
+        Path::Blended(blending) => connection.target_formats(blending).map(drop),
+        Path::Sorted { .. } => Ok(()),
+    });
+    fits.err().map(|error| error.to_string())
+}

@@ -1,0 +1,189 @@
+//! Commands on their way to the device, the time that they take there, and what they bring back.
+
+use super::device::Connection;
+use super::picture::buffer;
+use crate::error::{Error, Result};
+use std::sync::mpsc::channel;
+use std::time::Instant;
+use wgpu::{
+    Buffer, BufferUsages, CommandEncoder, CommandEncoderDescriptor, ComputePass, ComputePassDescriptor,
+    ComputePassTimestampWrites, Features, MapMode, QuerySet, QuerySetDescriptor, QueryType, RenderPass,
+    RenderPassColorAttachment, RenderPassDescriptor, RenderPassTimestampWrites,
+};
+
+/// What a pass belongs to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Stage {
+    Raster,
+    Resolve,
+}
+
+/// Milliseconds of each stage.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Times {
+    pub raster: f64,
+    pub resolve: f64,
+}
+
+impl Times {
+    pub fn add(&mut self, stage: Stage, ms: f64) {
+        match stage {
+            Stage::Raster => self.raster += ms,
+            Stage::Resolve => self.resolve += ms,
+        }
+    }
+    pub fn plus(self, other: Self) -> Self {
+        Self { raster: self.raster + other.raster, resolve: self.resolve + other.resolve }
+    }
+}
+
+/// Passes that are timed by one recorder, at most.
+const PASSES: u32 = 16;
+
+/// Records passes and times each; where the device has no timestamps it is waited for after each, and the clock on the wall
+/// has to do.
+pub struct Recorder<'a> {
+    connection: &'a Connection,
+    stop: &'a (dyn Fn() -> bool + Sync),
+    encoder: CommandEncoder,
+    stamps: Option<QuerySet>,
+    stages: Vec<Stage>,
+    walls: Times,
+}
+
+fn encoder(connection: &Connection) -> CommandEncoder {
+    connection.device.create_command_encoder(&CommandEncoderDescriptor { label: Some("oitlab") })
+}
+
+impl<'a> Recorder<'a> {
+    pub fn new(connection: &'a Connection, stop: &'a (dyn Fn() -> bool + Sync)) -> Self {
+        let has_stamps = connection.features.contains(Features::TIMESTAMP_QUERY);
+        let descriptor = QuerySetDescriptor { label: None, ty: QueryType::Timestamp, count: 2 * PASSES };
+        Self {
+            connection,
+            stop,
+            encoder: encoder(connection),
+            stamps: has_stamps.then(|| connection.device.create_query_set(&descriptor)),
+            stages: Vec::new(),
+            walls: Times::default(),
+        }
+    }
+
+    /// Records a render pass.
+    ///
+    /// # Errors
+    /// [`Error::Cancelled`], or [`Error::Gpu`] if it had to be waited for in vain.
+    pub fn render(
+        &mut self,
+        stage: Stage,
+        attachments: &[Option<RenderPassColorAttachment<'_>>],
+        record: impl FnOnce(&mut RenderPass<'_>),
+    ) -> Result<()> {
+        let first = self.next(stage);
+        let stamps = self.stamps.as_ref().map(|query_set| RenderPassTimestampWrites {
+            query_set,
+            beginning_of_pass_write_index: Some(first),
+            end_of_pass_write_index: Some(first + 1),
+        });
+        let mut pass = self.encoder.begin_render_pass(&RenderPassDescriptor {
+            label: None,
+            color_attachments: attachments,
+            depth_stencil_attachment: None,
+            timestamp_writes: stamps,
+            occlusion_query_set: None,
+            multiview_mask: None,
+        });
+        record(&mut pass);
+        drop(pass);
+        self.end_of_pass(stage)
+    }
+
+    /// Records a compute pass.
+    ///
+    /// # Errors
+    /// As [`Recorder::render`].
+    pub fn compute(&mut self, stage: Stage, record: impl FnOnce(&mut ComputePass<'_>)) -> Result<()> {
+        let first = self.next(stage);
+        let stamps = self.stamps.as_ref().map(|query_set| ComputePassTimestampWrites {
+            query_set,
+            beginning_of_pass_write_index: Some(first),
+            end_of_pass_write_index: Some(first + 1),
+        });
+        let mut pass =
+            self.encoder.begin_compute_pass(&ComputePassDescriptor { label: None, timestamp_writes: stamps });
+        record(&mut pass);
+        drop(pass);
+        self.end_of_pass(stage)
+    }
+
+    /// Sets a buffer to zero.
+    pub fn clear(&mut self, buffer: &Buffer) {
+        self.encoder.clear_buffer(buffer, 0, None);
+    }
+
+    /// The first of the pass's two stamps.
+    #[expect(clippy::cast_possible_truncation, reason = "few passes")]
+    fn next(&mut self, stage: Stage) -> u32 {
+        self.stages.push(stage);
+        debug_assert!(self.stages.len() <= PASSES as usize);
+        2 * (self.stages.len() as u32 - 1)
+    }
+
+    fn end_of_pass(&mut self, stage: Stage) -> Result<()> {
+        if self.stamps.is_some() {
+            return Ok(());
+        }
+        let recorded = std::mem::replace(&mut self.encoder, encoder(self.connection));
+        let start = Instant::now();
+        let submission = self.connection.queue.submit([recorded.finish()]);
+        self.connection.wait(&submission, self.stop)?;
+        self.walls.add(stage, start.elapsed().as_secs_f64() * 1e3);
+        Ok(())
+    }
+
+    /// Submits everything and waits for it; the first bytes of a buffer, and how long the stages took.
+    ///
+    /// # Errors
+    /// [`Error::Cancelled`], [`Error::Memory`] or [`Error::Gpu`].
+    pub fn finish<T: bytemuck::Pod>(mut self, source: &Buffer, bytes: u64) -> Result<(Vec<T>, Times)> {
+        let connection = self.connection;
+        let landing = buffer(connection, "readback", bytes, BufferUsages::MAP_READ);
+        self.encoder.copy_buffer_to_buffer(source, 0, &landing, 0, bytes);
+        let stamped = 16 * self.stages.len() as u64;
+        let times = self.stamps.take().map(|stamps| {
+            let resolved = buffer(connection, "stamps", stamped, BufferUsages::QUERY_RESOLVE | BufferUsages::COPY_SRC);
+            let landing = buffer(connection, "stamps", stamped, BufferUsages::MAP_READ);
+            #[expect(clippy::cast_possible_truncation, reason = "few passes")]
+            self.encoder.resolve_query_set(&stamps, 0..2 * self.stages.len() as u32, &resolved, 0);
+            self.encoder.copy_buffer_to_buffer(&resolved, 0, &landing, 0, stamped);
+            landing
+        });
+        let submission = connection.queue.submit([self.encoder.finish()]);
+        let (sender, receiver) = channel();
+        for landing in [Some(&landing), times.as_ref()].into_iter().flatten() {
+            let sender = sender.clone();
+            landing.slice(..).map_async(MapMode::Read, move |mapped| _ = sender.send(mapped.is_ok()));
+        }
+        drop(sender);
+        connection.wait(&submission, self.stop)?;
+        if !receiver.iter().all(|mapped| mapped) {
+            return Err(Error::Gpu("the image could not be read back".to_owned()));
+        }
+        let mut total = self.walls;
+        if let Some(landing) = &times {
+            let ticks: Vec<u64> = read(landing, stamped)?;
+            let period = f64::from(connection.queue.get_timestamp_period()) * 1e-6;
+            for (stage, stamps) in self.stages.iter().zip(ticks.chunks(2)) {
+                #[expect(clippy::cast_precision_loss, reason = "a duration in milliseconds")]
+                total.add(*stage, stamps[1].saturating_sub(stamps[0]) as f64 * period);
+            }
+        }
+        Ok((read(&landing, bytes)?, total))
+    }
+}
+
+fn read<T: bytemuck::Pod>(buffer: &Buffer, bytes: u64) -> Result<Vec<T>> {
+    let view = buffer.slice(..bytes).get_mapped_range();
+    let view = view.map_err(|error| Error::Gpu(format!("the image could not be read back: {error}")))?;
+    Ok(bytemuck::pod_collect_to_vec(&view))
+}

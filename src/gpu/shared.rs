@@ -1,0 +1,121 @@
+//! What outlives a call: the device, its pipelines, and the scenes that were drawn last.
+
+use super::device::Connection;
+use super::draw::{Gpu, Image};
+use super::form::Form;
+use super::layouts::Layouts;
+use super::picture::{Picture, View};
+use crate::error::Result;
+use crate::order::SubmissionOrder;
+use crate::params;
+use crate::raster::Drawn;
+use std::sync::{Mutex, PoisonError};
+
+/// What tells drawn scenes apart.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Key {
+    /// The scene's content.
+    pub scene: blake3::Hash,
+    /// The order of its primitives.
+    pub order: SubmissionOrder,
+}
+
+/// Bytes of scenes that stay on the device between calls, and how many of them.
+const KEPT: (u64, usize) = (256 << 20, 8);
+
+/// A scene that stays on the device.
+#[derive(Debug)]
+struct Kept {
+    key: Key,
+    picture: Picture,
+    /// Near, far and the depth range.
+    range: params::View,
+}
+
+/// The device and what it holds.
+#[derive(Debug)]
+pub struct Shared {
+    gpu: Gpu,
+    /// The one that was drawn last comes last.
+    kept: Vec<Kept>,
+}
+
+static SHARED: Mutex<Option<Shared>> = Mutex::new(None);
+
+/// Does some work with the process's device, which is made if there is none, and turns its errors into ours. One at a
+/// time.
+///
+/// # Errors
+/// Those of `work`, [`crate::Error::Gpu`] and [`crate::Error::Memory`].
+pub fn with_gpu<T>(work: impl FnOnce(&mut Shared) -> Result<T>) -> Result<T> {
+    let mut shared = SHARED.lock().unwrap_or_else(PoisonError::into_inner);
+    if shared.as_ref().is_some_and(|shared| shared.gpu.connection.is_lost()) {
+        *shared = None;
+    }
+    if shared.is_none() {
+        let connection = Connection::new()?;
+        let layouts = Layouts::new(&connection.device);
+        *shared = Some(Shared { gpu: Gpu { connection, layouts }, kept: Vec::new() });
+    }
+    let Some(shared) = shared.as_mut() else { unreachable!("just made") };
+    let connection = shared.gpu.connection.clone();
+    let result = connection.guarded(|| work(shared));
+    if result.is_err() {
+        // what was being made may be half there
+        shared.kept.clear();
+    }
+    result
+}
+
+impl Shared {
+    /// The device.
+    pub fn connection(&self) -> &Connection {
+        &self.gpu.connection
+    }
+
+    /// Whether the scene is on the device.
+    pub fn has(&self, key: Key) -> bool {
+        self.kept.iter().any(|kept| kept.key == key)
+    }
+
+    /// Near, far and the depth range of a scene that is on the device.
+    pub fn range(&self, scene: blake3::Hash) -> Option<params::View> {
+        self.kept.iter().find(|kept| kept.key.scene == scene).map(|kept| kept.range)
+    }
+
+    /// Takes a scene to the device and counts its fragments.
+    ///
+    /// # Errors
+    /// [`crate::Error::Argument`] for what is beyond the device's limits, and the device's own.
+    pub fn load<'a>(
+        &mut self,
+        key: Key,
+        range: params::View,
+        view: &View,
+        primitives: impl Iterator<Item = Drawn<'a>>,
+        stop: &(dyn Fn() -> bool + Sync),
+    ) -> Result<()> {
+        let Gpu { connection, layouts } = &mut self.gpu;
+        let mut picture = Picture::new(connection, layouts, view, primitives)?;
+        self.gpu.count(&mut picture, stop)?;
+        self.kept.push(Kept { key, picture, range });
+        let bytes = |kept: &[Kept]| kept.iter().map(|kept| kept.picture.bytes).sum::<u64>();
+        while self.kept.len() > 1 && (self.kept.len() > KEPT.1 || bytes(&self.kept) > KEPT.0) {
+            self.kept.remove(0);
+        }
+        Ok(())
+    }
+
+    /// Draws a scene that is on the device; the image, and the scene's fragments and those of its deepest pixel.
+    ///
+    /// # Errors
+    /// [`crate::Error::Argument`] for what the device cannot do, and the device's own.
+    pub fn draw(&mut self, key: Key, form: &Form, stop: &(dyn Fn() -> bool + Sync)) -> Result<Option<(Image, (u64, u64))>> {
+        let Some(place) = self.kept.iter().position(|kept| kept.key == key) else { return Ok(None) };
+        let kept = self.kept.remove(place);
+        self.kept.push(kept);
+        let Some(Kept { picture, .. }) = self.kept.last() else { return Ok(None) };
+        let image = self.gpu.image(picture, form, stop)?;
+        Ok(Some((image, picture.totals())))
+    }
+}

@@ -1,0 +1,78 @@
+//! The GPU backend.
+
+use super::convert::inputs;
+use super::frame::PyFrame;
+#[cfg(feature = "gpu")]
+use super::run::interruptible;
+use super::run::{AnySource, options};
+use crate::render::Request;
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+
+/// What a build without the feature says.
+#[cfg(not(feature = "gpu"))]
+fn none_here<T>() -> PyResult<T> {
+    let problem = "this build has no GPU backend; one that `pip install .` makes has (cargo feature \"gpu\")";
+    Err(crate::Error::Gpu(problem.to_owned()).into())
+}
+
+/// Renders `source` once per variant on the GPU, for one set-up of its geometry.
+#[pyfunction]
+pub fn render_gpu<'py>(
+    py: Python<'py>,
+    source: &Bound<'py, PyAny>,
+    variants: Vec<(String, Bound<'py, PyDict>)>,
+    threads: Option<i64>,
+    skip: bool,
+) -> PyResult<Vec<PyFrame>> {
+    let source = AnySource::extract(source)?;
+    let requests: Vec<Request> =
+        variants.into_iter().map(|(id, params)| Ok((id, inputs(&params)?))).collect::<PyResult<_>>()?;
+    let options = options(threads, skip)?;
+    #[cfg(feature = "gpu")]
+    {
+        let shared = source.share();
+        let frames = interruptible(py, move |stop| {
+            crate::render::render_on_gpu(shared.as_source(), &requests, &options, stop)
+        })?;
+        Ok(frames.into_iter().map(|frame| PyFrame::new(frame, source.share())).collect())
+    }
+    #[cfg(not(feature = "gpu"))]
+    {
+        _ = (py, source, requests, options);
+        none_here()
+    }
+}
+
+/// The device, and for each technique without a form that it can run, why.
+#[pyfunction]
+pub fn gpu_info(py: Python<'_>) -> PyResult<Bound<'_, PyDict>> {
+    #[cfg(feature = "gpu")]
+    {
+        let info = interruptible(py, |_| crate::gpu::info())?;
+        let dict = PyDict::new(py);
+        for (name, text) in info.texts {
+            dict.set_item(name, text)?;
+        }
+        let (features, limits, refused) = (PyDict::new(py), PyDict::new(py), PyDict::new(py));
+        for (name, is_there) in info.features {
+            features.set_item(name, is_there)?;
+        }
+        for (name, limit) in info.limits {
+            limits.set_item(name, limit)?;
+        }
+        for (id, why) in info.refused {
+            refused.set_item(id, why)?;
+        }
+        dict.set_item("features", features)?;
+        dict.set_item("limits", limits)?;
+        dict.set_item("techniques", info.techniques)?;
+        dict.set_item("refused", refused)?;
+        Ok(dict)
+    }
+    #[cfg(not(feature = "gpu"))]
+    {
+        _ = py;
+        none_here()
+    }
+}

@@ -1,0 +1,251 @@
+//! Rendering on the GPU: the CPU sets scenes up and draws their opaque surfaces, the device does the rest.
+
+use super::{Options, Request, Source, bind, check_request, with_threads};
+use crate::error::{Error, Result};
+use crate::frame::{Frame, Image, Sample, Stats};
+use crate::gpu::form::{Form, Path};
+use crate::gpu::{Key, Opaque, Shared, View, with_gpu};
+use crate::order::{CentroidOrder, SubmissionOrder};
+use crate::params::{self, Checked, Params};
+use crate::raster::{self, Raster, Tile};
+use crate::resolve::Variant;
+use crate::scene::Scene;
+use crate::technique::{DepthComplexity, Info};
+use rayon::prelude::*;
+use std::sync::Arc;
+use std::time::Instant;
+
+/// Edge of the tiles that opaque surfaces are drawn in.
+const TILE: u32 = 64;
+
+/// A variant ready to be drawn.
+struct Bound {
+    variant: Variant,
+    form: Form,
+    /// The order in which primitives are drawn.
+    order: SubmissionOrder,
+}
+
+/// Renders a scene once per request on the GPU. Images are those of the CPU but for rounding: depths, colours, blending and
+/// the resolve are in single precision.
+///
+/// # Errors
+/// As [`super::render`]; [`Error::Argument`] and [`Error::Param`] for what has no GPU form or is beyond the device,
+/// [`Error::Gpu`] without a device.
+pub fn render_on_gpu(
+    source: Source<'_>,
+    requests: &[Request],
+    options: &Options,
+    stop: &(dyn Fn() -> bool + Sync),
+) -> Result<Vec<Frame>> {
+    let checked = requests.iter().map(check_request).collect::<Result<Vec<_>>>()?;
+    let Source::Scene(scene) = source else {
+        return Err(Error::argument("backend", "\"gpu\" takes scenes; fragments are rendered on \"cpu\""));
+    };
+    let provisional = raster::provisional_view(scene);
+    checked.iter().try_for_each(|(info, checked)| bound(info, checked, &provisional).map(drop))?;
+    if checked.is_empty() {
+        return Ok(Vec::new());
+    }
+    let start = Instant::now();
+    with_threads(options.threads, |threads| {
+        with_gpu(|shared| {
+            let mut job = Job { scene, shared, hash: scene.content_hash(), stop };
+            let range = job.range()?;
+            let mut answers: Vec<(Bound, Answer)> = Vec::new();
+            let mut frames = Vec::new();
+            for (info, checked) in &checked {
+                let bound = bound(info, checked, &range)?;
+                let same = |(other, _): &(Bound, Answer)| {
+                    other.variant.info.id == info.id
+                        && other.variant.params.identity() == bound.variant.params.identity()
+                };
+                let known = if options.skip { answers.iter().position(same) } else { None };
+                let params = bound.variant.params.clone();
+                let place = match known {
+                    Some(place) => place,
+                    None => {
+                        let answer = job.answer(&bound)?;
+                        answers.push((bound, answer));
+                        answers.len() - 1
+                    }
+                };
+                let (bound, answer) = &answers[place];
+                frames.push(answer.frame(scene, &bound.variant, params, known.is_some(), threads));
+            }
+            if let [frame] = &mut frames[..] {
+                frame.stats.total_ms = start.elapsed().as_secs_f64() * 1e3;
+            }
+            Ok(frames)
+        })
+    })
+}
+
+fn bound(info: &'static Info, checked: &Checked, view: &params::View) -> Result<Bound> {
+    let Some(make) = info.gpu else {
+        return Err(Error::argument("backend", format!("{:?} has no GPU form yet; its backends: cpu", info.id)));
+    };
+    let variant = bind(info, checked, view)?;
+    let form = make(&variant.params, view)?;
+    let order = match &form.path {
+        // they are sorted afterwards
+        Path::Sorted { .. } => SubmissionOrder::AsIs,
+        Path::Blended(_) => variant.order,
+    };
+    if !order.is_of_primitives() {
+        let given = variant.params.text("submission_order");
+        let problem = format!("submission_order={given:?} sorts fragments, which blend units of the backend \"gpu\" cannot");
+        return Err(variant.params.error(problem, "there it is one of \"as_is\", \"reversed\", \"shuffled\", \"centroid\""));
+    }
+    Ok(Bound { variant, form, order })
+}
+
+/// A scene on its way through the device.
+struct Job<'a> {
+    scene: &'a Scene,
+    shared: &'a mut Shared,
+    hash: blake3::Hash,
+    stop: &'a (dyn Fn() -> bool + Sync),
+}
+
+/// What the device made of a variant.
+struct Answer {
+    color: Arc<Image>,
+    transmittance: Arc<Image>,
+    channels: usize,
+    raster_ms: f64,
+    resolve_ms: f64,
+    fragments: u64,
+    deepest: u64,
+}
+
+impl Job<'_> {
+    /// Near, far and the depth range, which some params' defaults follow.
+    fn range(&mut self) -> Result<params::View> {
+        match self.shared.range(self.hash) {
+            Some(range) => Ok(range),
+            None => self.load(SubmissionOrder::AsIs),
+        }
+    }
+
+    fn load(&mut self, order: SubmissionOrder) -> Result<params::View> {
+        let (scene, stop) = (self.scene, self.stop);
+        // the whole image is one tile, so that every primitive comes once
+        let raster = Raster::new(scene, scene.width().max(scene.height()), stop);
+        let opaque = scene.meshes().iter().any(|mesh| !mesh.material().is_transparent());
+        let opaque = opaque.then(|| opaque_surfaces(scene, stop));
+        let by_centroid = order == SubmissionOrder::Centroid;
+        let centroids = by_centroid.then(|| CentroidOrder::of_all(&raster::centroid_depths(scene, stop)));
+        if stop() {
+            return Err(Error::Cancelled);
+        }
+        let view = View {
+            width: scene.width(),
+            height: scene.height(),
+            perspective: raster.is_perspective(),
+            background: scene.background(),
+            opaque,
+        };
+        let (key, range) = (Key { scene: self.hash, order }, raster.view());
+        if order == SubmissionOrder::AsIs {
+            self.shared.load(key, range, &view, raster.drawn(), stop)?;
+        } else {
+            let drawn: Vec<_> = raster.drawn().collect();
+            let ids: Vec<_> = drawn.iter().map(|primitive| primitive.primitive).collect();
+            let places = order.of_primitives(&ids, centroids.as_ref());
+            let arranged = places.into_iter().map(|place| drawn[place as usize]);
+            self.shared.load(key, range, &view, arranged, stop)?;
+        }
+        Ok(range)
+    }
+
+    fn answer(&mut self, bound: &Bound) -> Result<Answer> {
+        let key = Key { scene: self.hash, order: bound.order };
+        if !self.shared.has(key) {
+            self.load(bound.order)?;
+        }
+        let drawn = self.shared.draw(key, &bound.form, self.stop)?;
+        let Some((image, (fragments, deepest))) = drawn else { unreachable!("it was loaded") };
+        let colored = bound.form.colored_transmittance;
+        let (color, transmittance) = split(&image.texels, colored);
+        Ok(Answer {
+            color: Arc::new(f32::wrap(color)),
+            transmittance: Arc::new(f32::wrap(transmittance)),
+            channels: if colored { 3 } else { 1 },
+            raster_ms: image.times.raster,
+            resolve_ms: image.times.resolve,
+            fragments,
+            deepest,
+        })
+    }
+}
+
+/// Texels as colours and background shares.
+fn split(texels: &[f32], colored: bool) -> (Vec<f32>, Vec<f32>) {
+    let texels = texels.as_chunks::<4>().0;
+    if colored {
+        let halves = |which: usize| texels.iter().skip(which).step_by(2).flat_map(|t| [t[0], t[1], t[2]]).collect();
+        return (halves(0), halves(1));
+    }
+    (texels.iter().flat_map(|t| [t[0], t[1], t[2]]).collect(), texels.iter().map(|t| t[3]).collect())
+}
+
+/// The nearest opaque surface of every pixel, as the CPU backend draws it.
+fn opaque_surfaces(scene: &Scene, stop: &(dyn Fn() -> bool + Sync)) -> Opaque {
+    let raster = Raster::new(scene, TILE, stop);
+    let (width, columns) = (scene.width() as usize, raster.columns());
+    let pixels = width * scene.height() as usize;
+    let [r, g, b] = scene.background();
+    let mut opaque = Opaque { depth: vec![f32::INFINITY; pixels], color: vec![[r, g, b, 1.0]; pixels] };
+    let tiles = (0..raster.rows() * columns).into_par_iter().map_init(Tile::default, |tile, i| {
+        let place = (i % columns, i / columns);
+        let rect = raster.rect(place.0, place.1);
+        tile.begin(&raster, place, rect, true, stop);
+        let behind = tile.background();
+        (rect, behind.is_any().then(|| (behind.depths().collect::<Vec<_>>(), behind.colors().to_vec())))
+    });
+    for (rect, surfaces) in tiles.collect::<Vec<_>>() {
+        let Some((depths, colors)) = surfaces else { continue };
+        for row in 0..rect.height() {
+            #[expect(clippy::cast_sign_loss, reason = "tiles lie in the image")]
+            let first = (rect.y0 as usize + row) * width + rect.x0 as usize;
+            for (i, x) in (row * rect.width()..(row + 1) * rect.width()).zip(first..) {
+                let [r, g, b] = colors[i];
+                (opaque.depth[x], opaque.color[x]) = (depths[i], [r, g, b, 1.0]);
+            }
+        }
+    }
+    opaque
+}
+
+impl Answer {
+    fn frame(&self, scene: &Scene, variant: &Variant, params: Params, duplicate: bool, threads: usize) -> Frame {
+        #[expect(clippy::cast_precision_loss, reason = "statistics")]
+        let mean = self.fragments as f64 / (f64::from(scene.width()) * f64::from(scene.height()));
+        let max = usize::try_from(self.deepest).unwrap_or(usize::MAX);
+        let cost = variant.technique.cost(&DepthComplexity { mean, max });
+        Frame {
+            technique: variant.info.id,
+            params,
+            width: scene.width(),
+            height: scene.height(),
+            color: Arc::clone(&self.color),
+            transmittance: Arc::clone(&self.transmittance),
+            transmittance_channels: self.channels,
+            stats: Stats {
+                total_ms: self.raster_ms + self.resolve_ms,
+                raster_ms: self.raster_ms,
+                resolve_ms: self.resolve_ms,
+                fragments: self.fragments,
+                depth_complexity_mean: mean,
+                depth_complexity_max: self.deepest,
+                geometry_passes: cost.geometry_passes,
+                bytes_per_pixel: cost.bytes_per_pixel,
+                dropped: 0,
+                skipped: vec![("duplicate_variants", u64::from(duplicate))],
+                backend: "gpu",
+                threads,
+            },
+        }
+    }
+}
