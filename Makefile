@@ -23,7 +23,7 @@ check: develop
 	cargo fmt --check
 	cargo fmt --check --manifest-path fuzz/Cargo.toml
 	cargo clippy --all-targets --quiet -- -D warnings
-	CARGO_TARGET_DIR=target/python cargo clippy --features python --quiet -- -D warnings
+	CARGO_TARGET_DIR=target/python cargo clippy --features python,gpu --quiet -- -D warnings
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy

@@ -15,7 +15,7 @@ pub use capture::capture;
 pub use depth::{DepthImages, depth_images};
 pub use diagnose::{Diagnostics, diagnose};
 #[cfg(feature = "gpu")]
-pub use gpu::render_on_gpu;
+pub use gpu::{capture_on_gpu, render_on_gpu};
 pub use inspect::{Transmittance, cost, order_sensitivity, transmittance};
 
 use crate::error::{Error, Result};

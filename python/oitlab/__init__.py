@@ -17,7 +17,7 @@ Examples
 True
 """
 
-from . import scenes
+from . import gpu, scenes
 from ._oitlab import __version__
 from .diagnostics import Diagnostics
 from .exr import read_exr, write_exr
@@ -54,6 +54,7 @@ __all__ = [
     "compare",
     "error_map",
     "error_split",
+    "gpu",
     "load",
     "order_sensitivity",
     "read_exr",

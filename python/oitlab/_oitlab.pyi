@@ -14,10 +14,13 @@ __all__ = [
     "__version__",
     "build_features",
     "capture",
+    "capture_gpu",
     "cost",
     "diagnose",
+    "gpu_info",
     "order_sensitivity",
     "render",
+    "render_gpu",
     "techniques",
     "transmittance",
 ]
@@ -145,6 +148,14 @@ def render(
     skip: bool,
     float64: bool,
 ) -> list[Frame]: ...
+def render_gpu(
+    source: Scene | Fragments,
+    variants: list[tuple[str, dict[str, Any]]],
+    threads: int | None,
+    skip: bool,
+) -> list[Frame]: ...
+def capture_gpu(scene: Scene) -> Fragments: ...
+def gpu_info() -> dict[str, Any]: ...
 def diagnose(
     source: Scene | Fragments,
     variants: list[tuple[str, dict[str, Any]]],

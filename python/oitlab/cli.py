@@ -15,7 +15,7 @@ import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from . import _stress_command
 
@@ -177,6 +177,7 @@ def _add_render(commands: Any) -> None:
     command.add_argument(
         "--reference", metavar="ID", help="measure against this technique, keep the error map"
     )
+    _add_backend(command)
     command.set_defaults(run=_render)
 
 
@@ -186,13 +187,20 @@ def _add_compare(commands: Any) -> None:
     command.add_argument(
         "--techniques",
         metavar="A,B,...",
-        help="ids, with parameters as in lwboit:bins=64:range=[1,2]; default: all",
+        help="ids, with parameters as in lwboit:bins=64:range=[1,2]; default: all that the backend has",
     )
     command.add_argument("--reference", default="a_buffer", metavar="ID", help="default: a_buffer")
     command.add_argument(
         "-o", "--output", type=Path, metavar="FOLDER", help="write EXR, contact sheet and CSV there"
     )
+    _add_backend(command)
     command.set_defaults(run=_compare)
+
+
+def _add_backend(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--backend", choices=("cpu", "gpu"), default="cpu", help="default: cpu; references are rendered on it"
+    )
 
 
 def _add_techniques(commands: Any) -> None:
@@ -239,8 +247,12 @@ def _render(options: argparse.Namespace) -> None:
     targets = _targets(options)
     params = dict(map(parse_param, options.param))
     scene = _scene(options)
-    jobs = [(options.technique, params), *([(options.reference, {})] if options.reference else [])]
-    frame, *exact = render_many(scene, jobs, threads=options.threads)
+    wanted, references = [(options.technique, params)], [(options.reference, {})] if options.reference else []
+    if options.backend == "cpu":
+        frame, *exact = render_many(scene, wanted + references, threads=options.threads)
+    else:
+        (frame,) = render_many(scene, wanted, backend=options.backend, threads=options.threads)
+        exact = render_many(scene, references, threads=options.threads)
     for target in targets:
         _write(target, frame, exact[0] if exact else None, options)
     stats = frame.stats
@@ -280,10 +292,11 @@ def _write(target: Path, frame: Frame, exact: Frame | None, options: argparse.Na
 
 def _compare(options: argparse.Namespace) -> None:
     names = options.techniques
-    variants = _all_techniques() if names is None else [parse_variant(text) for text in split_variants(names)]
+    every = _all_techniques(options.backend)
+    variants = every if names is None else [parse_variant(text) for text in split_variants(names)]
     scene = _scene(options)
     title = Path(options.scene.removeprefix(_SCENE_PREFIX)).name
-    comparison = _measured(scene, variants, title, options.threads, options.reference)
+    comparison = _measured(scene, variants, title, options.threads, options.reference, options.backend)
     _print_table(comparison, title)
     if options.output:
         _write_folder(options.output, comparison, Path(title).stem, title)
@@ -319,10 +332,10 @@ def _demo(options: argparse.Namespace) -> None:
         _write_folder(options.output, comparison, name, name)
 
 
-def _all_techniques() -> list[tuple[str, dict[str, Any]]]:
+def _all_techniques(backend: str = "cpu") -> list[tuple[str, dict[str, Any]]]:
     from .registry import techniques
 
-    return [(name, {}) for name in techniques().ids]
+    return [(entry.id, {}) for entry in techniques() if backend in entry.backends]
 
 
 def _scene(options: argparse.Namespace) -> Scene:
@@ -355,6 +368,7 @@ def _measured(
     title: str,
     threads: int | None,
     reference: str,
+    backend: Literal["cpu", "gpu"] = "cpu",
 ) -> Comparison:
     from tqdm import tqdm
 
@@ -366,7 +380,9 @@ def _measured(
             bar.set_postfix_str(label, refresh=False)
             bar.update(min(1, len(variants) - bar.n))
 
-        return compare_techniques(scene, variants, reference=reference, threads=threads, progress=advance)
+        return compare_techniques(
+            scene, variants, reference=reference, backend=backend, threads=threads, progress=advance
+        )
 
 
 def _print_table(comparison: Comparison, title: str) -> None:

@@ -122,6 +122,9 @@ def render_many(
     _check_backend(backend, requested)
     diagnosed = flag(diagnostics, "diagnostics")
     options = _threads(threads), flag(skip, "skip"), _is_float64(dtype)
+    if backend == "gpu":
+        _check_gpu_options(diagnosed, options[2])
+        return [_frame(raw) for raw in _oitlab.render_gpu(source._handle, requested, *options[:2])]
     frames = [_frame(raw) for raw in _oitlab.render(source._handle, requested, *options)]
     if not diagnosed:
         return frames
@@ -177,6 +180,13 @@ def _check_backend(backend: str, variants: Iterable[tuple[str, dict[str, Any]]])
         if entry is not None and backend not in entry.backends:
             known = ", ".join(entry.backends)
             raise ValueError(f"{entry.id!r} has no {backend.upper()} form yet; its backends: {known}")
+
+
+def _check_gpu_options(diagnosed: bool, float64: bool) -> None:
+    if diagnosed:
+        raise ValueError('diagnostics: numbers are watched on backend "cpu"; "gpu" has none')
+    if float64:
+        raise ValueError('dtype: backend "gpu" computes in single precision; \'float64\' is for "cpu"')
 
 
 def _threads(threads: int | None) -> int | None:

@@ -8,7 +8,7 @@ import math
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from ._atomic import replacing
 from .metrics import compare
@@ -105,6 +105,7 @@ def compare_techniques(
     variants: Sequence[tuple[str, Mapping[str, Any]]],
     *,
     reference: str = "a_buffer",
+    backend: Literal["cpu", "gpu"] = "cpu",
     threads: int | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Comparison:
@@ -121,7 +122,9 @@ def compare_techniques(
     variants : sequence of (str, mapping)
         Pairs of technique id and parameters.
     reference : str
-        Technique id of the exact image.
+        Technique id of the exact image, which the CPU renders.
+    backend : {"cpu", "gpu"}
+        Of the variants. The GPU draws each twice, so that no time is that of compiling its shaders.
     threads : int, optional
         CPU threads, None for all.
     progress : callable, optional
@@ -151,7 +154,7 @@ def compare_techniques(
     wanted = [(technique, dict(params)) for technique, params in variants]
     jobs = [*wanted, *_baseline(wanted)]
     frames: list[Frame] = []
-    for job, frame in zip(jobs, _rendered(scene, jobs, exact.stats.fragments, threads), strict=True):
+    for job, frame in zip(jobs, _rendered(scene, jobs, exact.stats.fragments, backend, threads), strict=True):
         frames.append(frame)
         if progress is not None:
             progress(label(*job))
@@ -182,10 +185,20 @@ def _baseline(wanted: Sequence[tuple[str, dict[str, Any]]]) -> list[tuple[str, d
 
 
 def _rendered(
-    scene: Scene, jobs: list[tuple[str, dict[str, Any]]], fragments: int, threads: int | None
+    scene: Scene,
+    jobs: list[tuple[str, dict[str, Any]]],
+    fragments: int,
+    backend: Literal["cpu", "gpu"],
+    threads: int | None,
 ) -> Iterator[Frame]:
     from .rendering import capture, render, render_many
 
+    if backend == "gpu":
+        for technique, params in jobs:
+            for _ in range(2):
+                frame = render(scene, technique, params, backend=backend, threads=threads)
+            yield frame
+        return
     if fragments > _CAPTURE_LIMIT:
         yield from render_many(scene, jobs, threads=threads)
         return

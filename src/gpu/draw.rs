@@ -4,7 +4,7 @@ use super::device::Connection;
 use super::form::{Blending, Form, Path, background_module, list_module};
 use super::layouts::{Draws, Entry, Layouts, blended, plain};
 use super::picture::{Picture, buffer, bytes_of, texture};
-use super::recorder::{Recorder, Stage, Times};
+use super::recorder::{Recorder, Stage, Times, read};
 use crate::error::{Error, Result};
 use std::ops::Range;
 use wgpu::{
@@ -42,6 +42,19 @@ struct ListBuffers {
     group: BindGroup,
     row_sums: Buffer,
     row_places: Buffer,
+    keys: Buffer,
+    colors: Buffer,
+}
+
+/// Every fragment, row by row and pixel by pixel, nearest first.
+#[derive(Debug, Default)]
+pub struct Captured {
+    /// Fragments per pixel.
+    pub counts: Vec<u32>,
+    /// The bits of the depth, and the primitive.
+    pub keys: Vec<[u32; 2]>,
+    /// Premultiplied colour and coverage.
+    pub colors: Vec<[f32; 4]>,
 }
 
 /// Resources by their bindings.
@@ -102,8 +115,7 @@ impl Gpu {
     /// # Errors
     /// As [`Gpu::image`].
     pub fn count(&mut self, picture: &mut Picture, stop: Stop<'_>) -> Result<()> {
-        let lists = self.lists(picture, 0);
-        let all = 0..picture.height;
+        let (lists, all) = (self.lists(picture, 0), 0..picture.height);
         let frame = self.frame(picture, &all, &[]);
         let mut recorder = Recorder::new(&self.connection, stop);
         recorder.clear(&picture.counts);
@@ -116,14 +128,15 @@ impl Gpu {
 
     /// Room for so many fragments.
     fn lists(&self, picture: &Picture, fragments: u64) -> ListBuffers {
-        let storage = |label, bytes| buffer(&self.connection, label, bytes, BufferUsages::STORAGE | BufferUsages::COPY_SRC);
+        let usage = BufferUsages::STORAGE | BufferUsages::COPY_SRC;
+        let storage = |label, bytes| buffer(&self.connection, label, bytes, usage);
         let rows = u64::from(picture.height);
         let places = storage("places", picture.counts.size());
         let (row_sums, row_places) = (storage("row sums", 8 * rows), storage("row places", 4 * rows));
         let (keys, colors) = (storage("keys", KEY * fragments), storage("colors", COLOR * fragments));
         let all = [&picture.counts, &places, &row_sums, &row_places, &keys, &colors];
         let group = group(&self.connection, &self.layouts.lists, &all.map(Buffer::as_entire_binding));
-        ListBuffers { group, row_sums, row_places }
+        ListBuffers { group, row_sums, row_places, keys, colors }
     }
 
     fn most_bytes(&self) -> u64 {
@@ -167,12 +180,8 @@ impl Gpu {
 
     /// Every fragment, sorted by pixel, in as many parts of the image as their number asks for.
     fn sorted(&mut self, picture: &Picture, form: &Form, point: &str, stop: Stop<'_>) -> Result<Image> {
-        let bands = self.bands_of_fragments(picture, form)?;
-        let in_band = |band: &Range<u32>| -> u64 {
-            picture.rows[band.start as usize..band.end as usize].iter().map(|row| u64::from(row[0])).sum()
-        };
-        let lists = self.lists(picture, bands.iter().map(in_band).max().unwrap_or(0));
-        self.connection.queue.write_buffer(&lists.row_places, 0, bytes_of(&row_places(picture, &bands)));
+        let bands = self.bands_of_fragments(picture, self.rows_per_band(picture, form))?;
+        let lists = self.lists_for(picture, &bands);
         let params: Vec<_> = form.numbers.iter().map(|number| number.bits()).collect();
         let module = form.module();
         let mut image = Image { texels: Vec::new(), times: Times { raster: picture.count_ms, resolve: 0.0 } };
@@ -180,21 +189,47 @@ impl Gpu {
             let frame = self.frame(picture, band, &params);
             let Self { connection, layouts } = self;
             let mut recorder = Recorder::new(connection, stop);
-            if band.start == 0 {
-                sum_rows(connection, layouts, &mut recorder, picture, &frame, &lists.group)?;
-            }
-            let groups = [&frame, &lists.group];
-            let shared = list_module();
-            let shared_entry = |point| Entry { module: &shared, point };
-            let shift = layouts.compute(&connection.device, shared_entry("shift_rows"), true, false);
-            dispatch(&mut recorder, Stage::Raster, &shift, &groups, picture, band)?;
-            draw_into_lists(connection, layouts, &mut recorder, picture, "store_fragment", &frame, &lists.group, band)?;
-            let sort = layouts.compute(&connection.device, shared_entry("sort_lists"), true, false);
-            dispatch(&mut recorder, Stage::Resolve, &sort, &groups, picture, band)?;
+            fill_lists(connection, layouts, &mut recorder, picture, &frame, &lists.group, band)?;
             let pipeline = layouts.compute(&connection.device, Entry { module: &module, point }, true, true);
+            let groups = [&frame, &lists.group];
             resolve(connection, layouts, recorder, picture, form, band, &pipeline, groups, &mut image)?;
         }
         Ok(image)
+    }
+
+    /// Keeps and reads back every fragment.
+    ///
+    /// # Errors
+    /// As [`Gpu::image`].
+    pub fn capture(&mut self, picture: &Picture, stop: Stop<'_>) -> Result<Captured> {
+        let bands = self.bands_of_fragments(picture, u32::MAX)?;
+        let lists = self.lists_for(picture, &bands);
+        let mut captured = Captured::default();
+        for band in &bands {
+            let fragments = fragments_of(picture, band);
+            let frame = self.frame(picture, band, &[]);
+            let Self { connection, layouts } = self;
+            let mut recorder = Recorder::new(connection, stop);
+            fill_lists(connection, layouts, &mut recorder, picture, &frame, &lists.group, band)?;
+            // all counts come once, with the last band
+            let last = band.end == picture.height;
+            let counts = if last { 4 * u64::from(picture.width) * u64::from(picture.height) } else { 0 };
+            let sources =
+                [(&lists.keys, KEY * fragments), (&lists.colors, COLOR * fragments), (&picture.counts, counts)];
+            let (landed, _) = recorder.finish_all(&sources)?;
+            captured.keys.extend(read::<[u32; 2]>(&landed[0], KEY * fragments)?);
+            captured.colors.extend(read::<[f32; 4]>(&landed[1], COLOR * fragments)?);
+            captured.counts.extend(read::<u32>(&landed[2], counts)?);
+        }
+        Ok(captured)
+    }
+
+    /// Room for the fragments of the fullest band, and where each row's go.
+    fn lists_for(&self, picture: &Picture, bands: &[Range<u32>]) -> ListBuffers {
+        let most = bands.iter().map(|band| fragments_of(picture, band)).max().unwrap_or(0);
+        let lists = self.lists(picture, most);
+        self.connection.queue.write_buffer(&lists.row_places, 0, bytes_of(&row_places(picture, bands)));
+        lists
     }
 
     /// As many rows at a time as fit into one buffer.
@@ -210,8 +245,8 @@ impl Gpu {
     }
 
     /// The same where their fragments have to fit, too.
-    fn bands_of_fragments(&self, picture: &Picture, form: &Form) -> Result<Vec<Range<u32>>> {
-        let (most, rows) = (self.most_bytes() / COLOR, self.rows_per_band(picture, form));
+    fn bands_of_fragments(&self, picture: &Picture, rows: u32) -> Result<Vec<Range<u32>>> {
+        let most = self.most_bytes() / COLOR;
         let (mut bands, mut band, mut sum) = (Vec::new(), 0..0, 0);
         for (row, [fragments, _]) in (0..).zip(&picture.rows) {
             let fragments = u64::from(*fragments);
@@ -274,6 +309,33 @@ fn row_places(picture: &Picture, bands: &[Range<u32>]) -> Vec<u32> {
         }
     }
     places
+}
+
+/// Fragments of some rows.
+fn fragments_of(picture: &Picture, rows: &Range<u32>) -> u64 {
+    picture.rows[rows.start as usize..rows.end as usize].iter().map(|row| u64::from(row[0])).sum()
+}
+
+/// Stores and sorts the fragments of some rows.
+fn fill_lists(
+    connection: &Connection,
+    layouts: &mut Layouts,
+    recorder: &mut Recorder<'_>,
+    picture: &Picture,
+    frame: &BindGroup,
+    lists: &BindGroup,
+    band: &Range<u32>,
+) -> Result<()> {
+    if band.start == 0 {
+        sum_rows(connection, layouts, recorder, picture, frame, lists)?;
+    }
+    let module = list_module();
+    let entry = |point| Entry { module: &module, point };
+    let shift = layouts.compute(&connection.device, entry("shift_rows"), true, false);
+    dispatch(recorder, Stage::Raster, &shift, &[frame, lists], picture, band)?;
+    draw_into_lists(connection, layouts, recorder, picture, "store_fragment", frame, lists, band)?;
+    let sort = layouts.compute(&connection.device, entry("sort_lists"), true, false);
+    dispatch(recorder, Stage::Resolve, &sort, &[frame, lists], picture, band)
 }
 
 fn dispatch(

@@ -22,6 +22,8 @@ mod recorder;
 mod shared;
 
 #[cfg(feature = "gpu")]
+pub(crate) use draw::Captured;
+#[cfg(feature = "gpu")]
 pub use info::{Info, info};
 #[cfg(feature = "gpu")]
 pub(crate) use picture::{Opaque, View};

@@ -137,7 +137,7 @@ impl Picture {
             opaque_depth: uploaded(connection, "opaque depth", size, TextureFormat::R32Float, &opaque.depth),
             opaque_color: uploaded(connection, "opaque color", size, TextureFormat::Rgba32Float, &opaque.color),
             batches: Vec::new(),
-            counts: buffer(connection, "counts", 4 * pixels, BufferUsages::STORAGE),
+            counts: buffer(connection, "counts", 4 * pixels, BufferUsages::STORAGE | BufferUsages::COPY_SRC),
             rows: Vec::new(),
             count_ms: 0.0,
             bytes: 4 * pixels + if view.opaque.is_some() { 20 * pixels } else { 0 },

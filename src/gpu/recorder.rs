@@ -145,45 +145,67 @@ impl<'a> Recorder<'a> {
     ///
     /// # Errors
     /// [`Error::Cancelled`], [`Error::Memory`] or [`Error::Gpu`].
-    pub fn finish<T: bytemuck::Pod>(mut self, source: &Buffer, bytes: u64) -> Result<(Vec<T>, Times)> {
+    pub fn finish<T: bytemuck::Pod>(self, source: &Buffer, bytes: u64) -> Result<(Vec<T>, Times)> {
+        let (landed, times) = self.finish_all(&[(source, bytes)])?;
+        Ok((read(&landed[0], bytes)?, times))
+    }
+
+    /// The same for several buffers, as others that can be [`read`].
+    ///
+    /// # Errors
+    /// As [`Recorder::finish`].
+    pub fn finish_all(mut self, sources: &[(&Buffer, u64)]) -> Result<(Vec<Buffer>, Times)> {
         let connection = self.connection;
-        let landing = buffer(connection, "readback", bytes, BufferUsages::MAP_READ);
-        self.encoder.copy_buffer_to_buffer(source, 0, &landing, 0, bytes);
-        let stamped = 16 * self.stages.len() as u64;
-        let times = self.stamps.take().map(|stamps| {
-            let resolved = buffer(connection, "stamps", stamped, BufferUsages::QUERY_RESOLVE | BufferUsages::COPY_SRC);
-            let landing = buffer(connection, "stamps", stamped, BufferUsages::MAP_READ);
-            #[expect(clippy::cast_possible_truncation, reason = "few passes")]
-            self.encoder.resolve_query_set(&stamps, 0..2 * self.stages.len() as u32, &resolved, 0);
-            self.encoder.copy_buffer_to_buffer(&resolved, 0, &landing, 0, stamped);
-            landing
-        });
+        let mut landed = Vec::new();
+        for (source, bytes) in sources {
+            let landing = buffer(connection, "readback", *bytes, BufferUsages::MAP_READ);
+            self.encoder.copy_buffer_to_buffer(source, 0, &landing, 0, *bytes);
+            landed.push(landing);
+        }
+        let stamps = self.land_stamps();
         let submission = connection.queue.submit([self.encoder.finish()]);
         let (sender, receiver) = channel();
-        for landing in [Some(&landing), times.as_ref()].into_iter().flatten() {
+        for landing in landed.iter().chain(&stamps) {
             let sender = sender.clone();
             landing.slice(..).map_async(MapMode::Read, move |mapped| _ = sender.send(mapped.is_ok()));
         }
         drop(sender);
         connection.wait(&submission, self.stop)?;
         if !receiver.iter().all(|mapped| mapped) {
-            return Err(Error::Gpu("the image could not be read back".to_owned()));
+            return Err(Error::Gpu("what was made could not be read back".to_owned()));
         }
-        let mut total = self.walls;
-        if let Some(landing) = &times {
-            let ticks: Vec<u64> = read(landing, stamped)?;
+        let mut times = self.walls;
+        if let Some(landing) = &stamps {
+            let ticks: Vec<u64> = read(landing, 16 * self.stages.len() as u64)?;
             let period = f64::from(connection.queue.get_timestamp_period()) * 1e-6;
             for (stage, stamps) in self.stages.iter().zip(ticks.chunks(2)) {
                 #[expect(clippy::cast_precision_loss, reason = "a duration in milliseconds")]
-                total.add(*stage, stamps[1].saturating_sub(stamps[0]) as f64 * period);
+                times.add(*stage, stamps[1].saturating_sub(stamps[0]) as f64 * period);
             }
         }
-        Ok((read(&landing, bytes)?, total))
+        Ok((landed, times))
+    }
+
+    /// Has the stamps copied to where they can be read.
+    #[expect(clippy::cast_possible_truncation, reason = "few passes")]
+    fn land_stamps(&mut self) -> Option<Buffer> {
+        let stamps = self.stamps.take()?;
+        let count = 2 * self.stages.len() as u64;
+        let usage = BufferUsages::QUERY_RESOLVE | BufferUsages::COPY_SRC;
+        let resolved = buffer(self.connection, "stamps", 8 * count, usage);
+        let landing = buffer(self.connection, "stamps", 8 * count, BufferUsages::MAP_READ);
+        self.encoder.resolve_query_set(&stamps, 0..count as u32, &resolved, 0);
+        self.encoder.copy_buffer_to_buffer(&resolved, 0, &landing, 0, 8 * count);
+        Some(landing)
     }
 }
 
-fn read<T: bytemuck::Pod>(buffer: &Buffer, bytes: u64) -> Result<Vec<T>> {
+/// The first bytes of a buffer that has landed.
+///
+/// # Errors
+/// [`Error::Gpu`] if it has not.
+pub fn read<T: bytemuck::Pod>(buffer: &Buffer, bytes: u64) -> Result<Vec<T>> {
     let view = buffer.slice(..bytes).get_mapped_range();
-    let view = view.map_err(|error| Error::Gpu(format!("the image could not be read back: {error}")))?;
+    let view = view.map_err(|error| Error::Gpu(format!("what was made could not be read back: {error}")))?;
     Ok(bytemuck::pod_collect_to_vec(&view))
 }

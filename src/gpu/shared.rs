@@ -1,7 +1,7 @@
 //! What outlives a call: the device, its pipelines, and the scenes that were drawn last.
 
 use super::device::Connection;
-use super::draw::{Gpu, Image};
+use super::draw::{Captured, Gpu, Image};
 use super::form::Form;
 use super::layouts::Layouts;
 use super::picture::{Picture, View};
@@ -117,5 +117,14 @@ impl Shared {
         let Some(Kept { picture, .. }) = self.kept.last() else { return Ok(None) };
         let image = self.gpu.image(picture, form, stop)?;
         Ok(Some((image, picture.totals())))
+    }
+
+    /// Every fragment of a scene that is on the device.
+    ///
+    /// # Errors
+    /// The device's own, and [`crate::Error::Memory`] for a row of more fragments than fit into one of its buffers.
+    pub fn capture(&mut self, key: Key, stop: &(dyn Fn() -> bool + Sync)) -> Result<Option<Captured>> {
+        let Some(kept) = self.kept.iter().find(|kept| kept.key == key) else { return Ok(None) };
+        self.gpu.capture(&kept.picture, stop).map(Some)
     }
 }

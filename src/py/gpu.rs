@@ -1,13 +1,17 @@
 //! The GPU backend.
 
 use super::convert::inputs;
+use super::fragments::PyFragments;
 use super::frame::PyFrame;
 #[cfg(feature = "gpu")]
 use super::run::interruptible;
 use super::run::{AnySource, options};
+use super::scene::PyScene;
 use crate::render::Request;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
+#[cfg(feature = "gpu")]
+use std::sync::Arc;
 
 /// What a build without the feature says.
 #[cfg(not(feature = "gpu"))]
@@ -40,6 +44,22 @@ pub fn render_gpu<'py>(
     #[cfg(not(feature = "gpu"))]
     {
         _ = (py, source, requests, options);
+        none_here()
+    }
+}
+
+/// The fragments of every pixel of a scene as the GPU finds them.
+#[pyfunction]
+pub fn capture_gpu(py: Python<'_>, scene: &Bound<'_, PyScene>) -> PyResult<PyFragments> {
+    #[cfg(feature = "gpu")]
+    {
+        let (scene, options) = (Arc::clone(&scene.get().0), options(None, true)?);
+        let fragments = interruptible(py, move |stop| crate::render::capture_on_gpu(&scene, &options, stop))?;
+        Ok(PyFragments(Arc::new(fragments)))
+    }
+    #[cfg(not(feature = "gpu"))]
+    {
+        _ = (py, scene);
         none_here()
     }
 }

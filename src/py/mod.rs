@@ -21,7 +21,7 @@ mod extension {
     #[pymodule_export]
     use super::frame::PyFrame;
     #[pymodule_export]
-    use super::gpu::{gpu_info, render_gpu};
+    use super::gpu::{capture_gpu, gpu_info, render_gpu};
     #[pymodule_export]
     use super::run::{capture, cost, diagnose, order_sensitivity, render, techniques, transmittance};
     #[pymodule_export]

@@ -2,9 +2,10 @@
 
 use super::{Options, Request, Source, bind, check_request, with_threads};
 use crate::error::{Error, Result};
+use crate::fragments::{Background, Fragment, Fragments, Lists};
 use crate::frame::{Frame, Image, Sample, Stats};
 use crate::gpu::form::{Form, Path};
-use crate::gpu::{Key, Opaque, Shared, View, with_gpu};
+use crate::gpu::{Captured, Key, Opaque, Shared, View, with_gpu};
 use crate::order::{CentroidOrder, SubmissionOrder};
 use crate::params::{self, Checked, Params};
 use crate::raster::{self, Raster, Tile};
@@ -81,6 +82,60 @@ pub fn render_on_gpu(
     })
 }
 
+/// The fragments of every pixel of `scene` as the GPU finds them, in submission order. They are those of [`super::capture`]
+/// but for rounding.
+///
+/// # Errors
+/// [`Error::Argument`] and [`Error::Memory`] for what is beyond the device, [`Error::Gpu`] without one,
+/// [`Error::Cancelled`] once `stop` returns true.
+pub fn capture_on_gpu(scene: &Scene, options: &Options, stop: &(dyn Fn() -> bool + Sync)) -> Result<Fragments> {
+    with_threads(options.threads, |_| {
+        let (captured, range) = with_gpu(|shared| {
+            let mut job = Job { scene, shared, hash: scene.content_hash(), stop };
+            let key = Key { scene: job.hash, order: SubmissionOrder::AsIs };
+            let range = if job.shared.has(key) { job.range()? } else { job.load(key.order)? };
+            let Some(captured) = job.shared.capture(key, stop)? else { unreachable!("it was loaded") };
+            Ok((captured, range))
+        })?;
+        let [r, g, b] = scene.background();
+        let background = match has_opaque(scene) {
+            true => Background::Image(
+                opaque_surfaces(scene, stop).color.into_iter().map(|[r, g, b, _]| [r, g, b]).collect(),
+            ),
+            false => Background::Constant([r, g, b]),
+        };
+        let centroids = raster::centroid_depths(scene, stop);
+        if stop() {
+            return Err(Error::Cancelled);
+        }
+        let (width, height) = (scene.width(), scene.height());
+        Ok(Fragments::captured(width, height, in_submission_order(&captured), background, range, Some(centroids)))
+    })
+}
+
+/// Primitive ids ascend as they are submitted.
+fn in_submission_order(captured: &Captured) -> Lists {
+    let mut lists = Lists::new();
+    let (mut first, mut places) = (0, Vec::new());
+    for &count in &captured.counts {
+        let end = first + count as usize;
+        places.clear();
+        places.extend(first..end);
+        places.sort_unstable_by_key(|&place| captured.keys[place][1]);
+        for &place in &places {
+            let ([depth, primitive], [r, g, b, alpha]) = (captured.keys[place], captured.colors[place]);
+            lists.push(Fragment { depth: f32::from_bits(depth), color: [r, g, b], alpha, primitive });
+        }
+        lists.end_row();
+        first = end;
+    }
+    lists
+}
+
+fn has_opaque(scene: &Scene) -> bool {
+    scene.meshes().iter().any(|mesh| !mesh.material().is_transparent())
+}
+
 fn bound(info: &'static Info, checked: &Checked, view: &params::View) -> Result<Bound> {
     let Some(make) = info.gpu else {
         return Err(Error::argument("backend", format!("{:?} has no GPU form yet; its backends: cpu", info.id)));
@@ -132,8 +187,7 @@ impl Job<'_> {
         let (scene, stop) = (self.scene, self.stop);
         // the whole image is one tile, so that every primitive comes once
         let raster = Raster::new(scene, scene.width().max(scene.height()), stop);
-        let opaque = scene.meshes().iter().any(|mesh| !mesh.material().is_transparent());
-        let opaque = opaque.then(|| opaque_surfaces(scene, stop));
+        let opaque = has_opaque(scene).then(|| opaque_surfaces(scene, stop));
         let by_centroid = order == SubmissionOrder::Centroid;
         let centroids = by_centroid.then(|| CentroidOrder::of_all(&raster::centroid_depths(scene, stop)));
         if stop() {

@@ -1,0 +1,130 @@
+"""The GPU backend: what device there is, what it can do, and the fragments as it finds them.
+
+`oitlab.render(..., backend="gpu")` renders with it. The CPU clips, projects and snaps the geometry and draws opaque
+surfaces; the device covers the same pixels with the same primitives, and does the rest in single precision.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+from . import _oitlab
+from .fragments import Fragments
+from .scene import Scene
+
+
+@dataclass(frozen=True)
+class GpuInfo:
+    """The device that `backend="gpu"` uses in this process."""
+
+    adapter: str
+    """Its name."""
+    kind: str
+    """DiscreteGpu, IntegratedGpu, VirtualGpu, Cpu or Other."""
+    driver: str
+    driver_info: str
+    interface: str
+    """vulkan, metal or dx12."""
+    features: Mapping[str, bool]
+    """Whether it has what some params want: timestamps (times are the device's own; without them they are those of the
+    clock on the wall), float32_blending (format="f32" of blended techniques), unorm16."""
+    limits: Mapping[str, int]
+    """Pixels along an image's sides, bytes of a buffer and of what a shader sees of one, bytes per pixel of render
+    targets. Geometry and fragment lists beyond them are drawn in parts."""
+    techniques: tuple[str, ...]
+    """The techniques that it renders with their default params."""
+    refused: Mapping[str, str]
+    """The others, and why not."""
+
+    def __str__(self) -> str:
+        lines = [
+            f"{self.adapter} ({self.kind}, {self.interface}; {self.driver} {self.driver_info})",
+            "features    " + ", ".join(name for name, there in self.features.items() if there),
+            "limits      " + ", ".join(f"{name} {limit:,}" for name, limit in self.limits.items()),
+            "techniques  " + ", ".join(self.techniques),
+        ]
+        reasons = dict.fromkeys(self.refused.values())
+        for reason in reasons:
+            ids = ", ".join(technique for technique, why in self.refused.items() if why == reason)
+            lines.append(f"not         {ids}: {reason}")
+        return "\n".join(lines)
+
+
+def info() -> GpuInfo:
+    """Describe the device: adapter, driver, features, limits, and which techniques they allow.
+
+    Of several adapters the fastest is taken, or the one whose name contains the environment variable
+    `WGPU_ADAPTER_NAME` when the device is first needed.
+
+    Returns
+    -------
+    GpuInfo
+
+    Raises
+    ------
+    RuntimeError
+        No adapter or driver, with what would help; or a build without the backend.
+
+    Examples
+    --------
+    >>> import oitlab
+    >>> try:
+    ...     runs = "wboit" in oitlab.gpu.info().techniques
+    ... except RuntimeError as error:
+    ...     runs = "driver" in str(error)  # there is none, and it says how to get one
+    >>> runs
+    True
+    """
+    raw = _oitlab.gpu_info()
+    return GpuInfo(
+        adapter=raw["adapter"],
+        kind=raw["kind"],
+        driver=raw["driver"],
+        driver_info=raw["driver_info"],
+        interface=raw["interface"],
+        features=MappingProxyType(raw["features"]),
+        limits=MappingProxyType(raw["limits"]),
+        techniques=tuple(raw["techniques"]),
+        refused=MappingProxyType(raw["refused"]),
+    )
+
+
+def capture(scene: Scene) -> Fragments:
+    """Rasterise on the GPU and keep every transparent fragment, as `oitlab.capture` does on the CPU.
+
+    Parameters
+    ----------
+    scene : Scene
+        What is rasterised.
+
+    Returns
+    -------
+    Fragments
+        The same pixels, primitives and order as those of `oitlab.capture`; depths are one unit in the last place off at
+        most where a triangle is not clipped, colours that vary over a triangle about 1e-6.
+
+    Raises
+    ------
+    RuntimeError
+        No device.
+    ValueError
+        An image beyond the device's limits.
+    MemoryError
+        Not enough memory on the device.
+
+    Examples
+    --------
+    >>> import oitlab
+    >>> scene = oitlab.scenes.squares(width=32, height=18)
+    >>> try:
+    ...     fragments = oitlab.gpu.capture(scene)
+    ... except RuntimeError:  # no driver
+    ...     fragments = oitlab.capture(scene)
+    >>> len(fragments) == len(oitlab.capture(scene))
+    True
+    """
+    if not isinstance(scene, Scene):
+        raise ValueError(f"scene must be a Scene, got {type(scene).__name__}")
+    return Fragments._wrap(_oitlab.capture_gpu(scene._handle))
