@@ -1,7 +1,8 @@
 """The GPU backend against the CPU backend, which is the definition."""
 
 import os
-from collections.abc import Iterator
+import re
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -21,19 +22,17 @@ if DEVICE is None and os.environ.get("OITLAB_REQUIRE_GPU"):
 pytestmark = pytest.mark.skipif(DEVICE is None, reason=WHY_NOT)
 
 IDS = [entry.id for entry in oitlab.techniques() if "gpu" in entry.backends]
-BLENDED = [technique for technique in IDS if technique != "a_buffer"]
-
 SIZE = {"width": 64, "height": 48}
 
 F32 = 2.0**-24
-# Sums and products of n fragments are rounded n times in an unknown order of additions; sixteen more roundings are those of
-# weights, the resolve and its division. Errors are relative to the largest colour, which is the sums' scale.
+# Sums and products of n fragments are rounded n times; sixteen more roundings are those of weights, the
+# resolve and its division. Errors are relative to the largest colour, which is the sums' scale.
 ROUNDINGS = 16
-# Depths agree to the bit but for one in thousands, which is one unit in its last place off: two f32 hold 40 digits of the
-# depth function, of which 24 are kept.
+# Depths agree to the bit but for one in thousands, which is one unit in its last place off: two f32 hold 40
+# digits of the depth function, of which 24 are kept.
 SHARE_OF_EQUAL_DEPTHS = 0.999
-# A pixel that the snapped outline of a clipped triangle covers may lie a hair outside the triangle, where CPU and GPU keep
-# within its rim each in its own way.
+# A pixel that the snapped outline of a clipped triangle covers may lie a hair outside the triangle, where CPU
+# and GPU keep within its rim each in its own way.
 CLIPPED_DEPTH = 1e-4
 # Weights of corners are linear functions in f32.
 VARYING_COLOR = 2e-5
@@ -111,7 +110,7 @@ def test_the_device_is_described() -> None:
     assert DEVICE.limits["image_side"] >= 8192
     known = set(oitlab.techniques().ids)
     assert set(DEVICE.techniques) | set(DEVICE.refused) == known
-    assert DEVICE.refused["mlab"] == "has no GPU form yet"
+    assert DEVICE.refused["lwboit"] == "has no GPU form yet"
     assert {technique for technique, why in DEVICE.refused.items() if "no GPU form" in why} == known - set(
         IDS
     )
@@ -166,3 +165,309 @@ def test_images_are_those_of_the_cpu_in_single_precision(name: str, technique: s
         assert getattr(got.stats, field) == getattr(expected.stats, field), field
     np.testing.assert_array_equal(got.fragment_count, expected.fragment_count)
     assert got.stats.backend == "gpu"
+
+
+# One unit in the last place of a half, relative.
+F16 = 2.0**-10
+
+Rounding = Callable[[Any], Any]
+
+
+def to_nearest(x: Any) -> Any:
+    return np.asarray(x, np.float32).astype(np.float16)
+
+
+def toward_zero(x: Any) -> Any:
+    single = np.asarray(x, np.float32)
+    half = single.astype(np.float16)
+    beyond = np.abs(half.astype(np.float32)) > np.abs(single)
+    return (half.view(np.uint16) - beyond.astype(np.uint16)).view(np.float16)
+
+
+@pytest.fixture(scope="module")
+def device_rounding() -> Rounding:
+    """Find out how blend units round to halves: Vulkan leaves it to them, llvmpipe truncates."""
+    quarter_from_above = 1 + 0.75 * F16
+    pane = oitlab.Mesh(
+        [(-9, -9, 0), (9, -9, 0), (0, 9, 0)], [(0, 1, 2)], color=(quarter_from_above, 0.0, 0.0, 1.0)
+    )
+    frame = oitlab.render(scene_of(pane, width=1, height=1), "weighted_sum", {"format": "f16"}, backend="gpu")
+    assert frame.color[0, 0, 0] in (1.0, 1.0 + F16)
+    return toward_zero if frame.color[0, 0, 0] == 1.0 else to_nearest
+
+
+def blended(fragments: oitlab.Fragments, begin: Any, step: Callable[[Any, Any, Any], Any]) -> Any:
+    """Blend each pixel's fragments: step(what is there, colours, alphas) of the k-th of all that have one."""
+    target = np.array(begin)
+    counts = np.diff(fragments.offsets)
+    for k in range(counts.max(initial=0)):
+        pixels = np.flatnonzero(counts > k)
+        index = fragments.offsets[pixels] + k
+        there = target[pixels].astype(np.float32)
+        target[pixels] = step(there, fragments.color[index], fragments.alpha[index, None])
+    return target.astype(np.float64)
+
+
+def emulated(technique: str, fragments: oitlab.Fragments, rounding: Rounding) -> Any:
+    """Compute an image in targets of halves that are rounded after each blend."""
+    pixels = fragments.width * fragments.height
+    background = np.broadcast_to(fragments.background, (fragments.height, fragments.width, 3)).reshape(-1, 3)
+    if technique == "alpha_compositing":
+        return blended(fragments, rounding(background), lambda t, c, a: rounding(c + (1 - a) * t))
+    sums = blended(
+        fragments, np.zeros((pixels, 4), np.float16), lambda t, c, a: rounding(t + np.concatenate([c, a], 1))
+    )
+    alpha = sums[:, 3:]
+    if technique == "weighted_sum":
+        return sums[:, :3] + (1 - alpha) * background
+    revealage = blended(fragments, np.ones((pixels, 1), np.float16), lambda t, c, a: rounding((1 - a) * t))
+    mean = np.divide(sums[:, :3], alpha, out=np.zeros((pixels, 3)), where=alpha > 0)
+    return (1 - revealage) * mean + revealage * background
+
+
+@pytest.mark.parametrize(
+    ("technique", "params"),
+    [
+        ("weighted_sum", {}),
+        ("blended_oit", {}),
+        ("wboit", {"weight": "one"}),
+        ("wboit", {"weight": "one", "layout": "listing4"}),
+        ("alpha_compositing", {}),
+    ],
+)
+@pytest.mark.parametrize("name", ["squares", "blades", "soup", "opaque"])
+def test_halves_are_rounded_once_per_blend(
+    name: str, technique: str, params: dict[str, Any], device_rounding: Rounding
+) -> None:
+    scene = SCENES[name]
+    got = oitlab.render(scene, technique, {"format": "f16"} | params, backend="gpu").color.reshape(-1, 3)
+    expected = emulated(technique, oitlab.gpu.capture(scene), device_rounding)
+    off = np.abs(got - expected) / (np.maximum(np.abs(expected), 2.0**-3) * F16)
+    # a fused product and sum, or one that is not, may fall on the other side of a half
+    assert (off <= 1).mean() >= 0.999
+    assert (off <= 0.01).mean() >= 0.98
+
+
+FORMATS: list[tuple[str, dict[str, Any]]] = [
+    ("weighted_sum", {"format": "f16"}),
+    ("weighted_average", {"format": "f16"}),
+    ("blended_oit", {"format": "f16"}),
+    *(("wboit", {"format": "f16", "layout": layout}) for layout in ("listing3", "listing4", "monochrome")),
+    ("phenomenological", {"format": "f16", "transmission": (0.5, 0.1, 0.9)}),
+    ("alpha_compositing", {"format": "f16"}),
+    ("painter", {"format": "f16"}),
+]
+
+
+@pytest.mark.parametrize(("technique", "params"), FORMATS)
+@pytest.mark.parametrize("name", ["squares", "blades", "soup", "opaque"])
+def test_halves_are_near_the_emulation(
+    name: str, technique: str, params: dict[str, Any], device_rounding: Rounding
+) -> None:
+    """The emulation rounds each blend to nearest; a device that truncates loses up to a unit more with each."""
+    scene = SCENES[name]
+    got = oitlab.render(scene, technique, params, backend="gpu")
+    expected = oitlab.render(scene, technique, params)
+    size = np.maximum(np.abs(expected.color), 2.0**-3)  # a sum of larger terms may have cancelled to less
+    off = np.abs(got.color - expected.color) / (size * F16)
+    layers = np.maximum(expected.fragment_count[..., None], 1)
+    # weighted sums reach up to `layers`, where a unit is as much larger; the quotient has units of both sums
+    assert (off <= 4 * layers).all(), (off / layers).max()
+    if device_rounding is to_nearest:
+        assert (off <= 1).mean() >= 0.99, (off > 1).mean()
+
+
+@pytest.mark.parametrize(
+    ("technique", "params", "limit"),
+    [
+        # blend units work in eight bits: a step per layer
+        ("alpha_compositing", {"format": "unorm8"}, 1 / 255),
+        ("alpha_compositing", {"color_format": "srgb8"}, 3 / 255),
+        ("wboit", {"format": "f16", "revealage_format": "unorm8"}, 1 / 255),
+        ("blended_oit", {"revealage_format": "unorm16"}, 2 / 65535),
+        ("phenomenological", {"format": "f16", "modulation_format": "unorm8"}, 1 / 255),
+        ("weighted_sum", {"accumulation_format": "unorm8"}, 1 / 255),
+    ],
+)
+def test_targets_of_equal_steps_are_near_the_emulation(
+    technique: str, params: dict[str, Any], limit: float
+) -> None:
+    scene = SCENES["squares"]
+    got = oitlab.render(scene, technique, params, backend="gpu")
+    expected = oitlab.render(scene, technique, params)
+    layers = expected.stats.depth_complexity_max
+    assert np.abs(got.color - expected.color).max() <= limit * layers
+    assert np.abs(got.color - expected.color).mean() <= limit
+
+
+WEIGHTS = [
+    choice.strip('"')
+    for choice in next(param for param in oitlab.techniques()["wboit"].params if param.name == "weight")
+    .range.removeprefix("one of ")
+    .split(", ")
+]
+
+
+@pytest.mark.parametrize("layout", ["listing3", "listing4", "monochrome"])
+@pytest.mark.parametrize("weight", WEIGHTS)
+def test_every_weight_is_that_of_the_cpu(weight: str, layout: str) -> None:
+    scene = SCENES["blades"]
+    wanted = [
+        ("wboit", {"weight": weight, "layout": layout} | more)
+        for more in ({}, {"weight_scale": 3.0, "weight_shift": -4.0}, {"listing3_clamp": True})
+    ]
+    if weight in ("inv_pow", "exp", "fig10"):
+        wanted.append(("wboit", {"weight": weight, "layout": layout, "weight_k": 2.5}))
+    for got, expected in zip(
+        oitlab.render_many(scene, wanted, backend="gpu"), oitlab.render_many(scene, wanted), strict=True
+    ):
+        # exp and pow of shaders have some ten roundings more, and weights of the floor's size few digits
+        assert np.abs(got.color - expected.color).max() <= 8 * tolerance(scene, expected), got.params
+
+
+@pytest.mark.parametrize("order", ["as_is", "reversed", "shuffled", "centroid"])
+def test_orders_of_primitives_are_those_of_the_cpu(order: str) -> None:
+    scene = SCENES["blades"]
+    wanted = [("alpha_compositing", {"submission_order": order, "seed": 3})]
+    (got,), (expected,) = oitlab.render_many(scene, wanted, backend="gpu"), oitlab.render_many(scene, wanted)
+    assert np.abs(got.color - expected.color).max() <= tolerance(scene, expected)
+
+
+@pytest.mark.parametrize("order", ["as_is", "reversed", "sorted", "back_to_front"])
+@pytest.mark.parametrize("technique", ["mlab", "k_buffer"])
+def test_lists_of_layers_are_those_of_the_cpu(technique: str, order: str) -> None:
+    scene = SCENES["squares"]  # where depths agree to the bit, so that nothing changes places
+    wanted = [(technique, {"layers": k, "submission_order": order}) for k in (1, 2, 5, 32)]
+    for got, expected in zip(
+        oitlab.render_many(scene, wanted, backend="gpu"), oitlab.render_many(scene, wanted), strict=True
+    ):
+        assert np.abs(got.color - expected.color).max() <= tolerance(scene, expected), got.params
+
+
+def test_peeled_layers_are_those_of_the_cpu() -> None:
+    scene = SCENES["opaque"]
+    wanted = [("multilayer_depth_peeling", {"layers": k, "passes": p}) for k, p in ((1, 1), (2, 2), (50, 9))]
+    for got, expected in zip(
+        oitlab.render_many(scene, wanted, backend="gpu"), oitlab.render_many(scene, wanted), strict=True
+    ):
+        assert np.abs(got.color - expected.color).max() <= tolerance(scene, expected), got.params
+
+
+def test_tinted_glass_is_that_of_the_cpu() -> None:
+    for params in ({"transmission": (0.9, 0.5, 0.0)}, {"transmission": 0.3, "divisor_floor": 1e-5}):
+        got = oitlab.render(SCENES["opaque"], "phenomenological", params, backend="gpu")
+        expected = oitlab.render(SCENES["opaque"], "phenomenological", params)
+        assert got.transmittance.shape == (48, 64, 3)
+        limit = tolerance(SCENES["opaque"], expected)
+        np.testing.assert_allclose(got.color, expected.color, rtol=0, atol=limit)
+        np.testing.assert_allclose(got.transmittance, expected.transmittance, rtol=0, atol=limit)
+
+
+def test_fragments_that_do_nothing_are_shown_to_whom_they_are_on_the_cpu() -> None:
+    rng = np.random.default_rng(1)
+    corners = around(rng, 40, 1.0, 2.0)
+    colors = rng.random((40, 4))
+    colors[::2, 3] = 0  # without coverage there is no premultiplied colour
+    mesh = oitlab.Mesh(corners.reshape(-1, 3), np.arange(120).reshape(-1, 3), face_colors=colors)
+    for technique in ("weighted_average", "blended_oit"):
+        got = oitlab.render(scene_of(mesh), technique, backend="gpu")
+        expected = oitlab.render(scene_of(mesh), technique)
+        np.testing.assert_allclose(
+            got.color, expected.color, rtol=0, atol=tolerance(scene_of(mesh), expected)
+        )
+        assert got.stats.fragments == expected.stats.fragments > 0
+
+
+def test_thousands_of_layers_are_sorted_and_none_is_lost() -> None:
+    rng = np.random.default_rng(5)
+    depth = rng.permutation(np.linspace(-2, 2, 3000))
+    corners = np.array([(-2.0, -2, 0), (2, -2, 0), (0, 3, 0)]) + depth[:, None, None] * (0, 0, 1)
+    colors = np.column_stack([rng.random((3000, 3)), np.full(3000, 0.01)])
+    mesh = oitlab.Mesh(corners.reshape(-1, 3), np.arange(9000).reshape(-1, 3), face_colors=colors)
+    scene = scene_of(mesh, width=5, height=4)
+    got, expected = oitlab.render(scene, "a_buffer", backend="gpu"), oitlab.render(scene, "a_buffer")
+    assert got.stats.depth_complexity_max == 3000
+    np.testing.assert_allclose(got.color, expected.color, rtol=0, atol=tolerance(scene, expected))
+
+
+def test_equal_variants_are_drawn_once_and_calls_repeat_to_the_bit() -> None:
+    scene = SCENES["soup"]
+    wanted = ["wboit", ("wboit", {"weight": "mb7"}), "a_buffer", "wboit"]
+    first = oitlab.render_many(scene, wanted, backend="gpu")
+    again = oitlab.render_many(scene, wanted, backend="gpu", skip=False)
+    assert [frame.stats.skipped["duplicate_variants"] for frame in first] == [0, 1, 0, 1]
+    assert [frame.stats.skipped["duplicate_variants"] for frame in again] == [0, 0, 0, 0]
+    for a, b in zip(first, again, strict=True):
+        np.testing.assert_array_equal(a.color, b.color)
+    for frame in first:
+        assert min(frame.stats.raster_ms, frame.stats.resolve_ms) > 0
+        assert frame.stats.total_ms == frame.stats.raster_ms + frame.stats.resolve_ms
+    alone = oitlab.render(scene, "wboit", backend="gpu", threads=1).stats
+    assert alone.total_ms > alone.raster_ms + alone.resolve_ms
+    assert alone.threads == 1
+    assert oitlab.render_many(scene, [], backend="gpu") == []
+
+
+def test_an_image_of_one_pixel_and_one_of_many() -> None:
+    scene = SCENES["blades"]
+    for size in ({"width": 1, "height": 1}, {"width": 1, "height": 300}, {"width": 517, "height": 3}):
+        sized = scene.replace(**size)
+        for technique in ("wboit", "a_buffer"):
+            got = oitlab.render(sized, technique, backend="gpu")
+            expected = oitlab.render(sized, technique)
+            np.testing.assert_allclose(got.color, expected.color, rtol=0, atol=tolerance(sized, expected))
+            assert got.stats.fragments == expected.stats.fragments
+
+
+@pytest.mark.parametrize(
+    ("technique", "params", "keywords", "message"),
+    [
+        ("lwboit", {}, {}, "'lwboit' has no GPU form yet; its backends: cpu"),
+        ("mlab", {"layers": 33}, {}, "layers is at most 32"),
+        ("mlab", {"format": "f16"}, {}, "nodes of other formats than f32"),
+        ("k_buffer", {"submission_order": "shuffled"}, {}, 'submission_order="shuffled" has no form'),
+        ("multilayer_depth_peeling", {"mode": "bucket"}, {}, 'mode="bucket" has no form'),
+        ("wboit", {"summation": "scaled"}, {}, 'wboit: summation="scaled" has no form on the backend "gpu"'),
+        ("wboit", {"format": "bf16"}, {}, 'accumulation_format="bf16"'),
+        ("blended_oit", {"accumulation_format": "f64"}, {"threads": 2}, 'is one of "f32", "f16"'),
+        ("a_buffer", {"overflow": "drop", "capacity": 4}, {}, 'overflow="drop"'),
+        (
+            "alpha_compositing",
+            {"submission_order": "sorted"},
+            {},
+            'submission_order="sorted" sorts fragments',
+        ),
+        ("wboit", {"near": 5.0, "far": 1.0, "weight": "mb10"}, {}, "near must be less than far"),
+        ("wboit", {}, {"dtype": "float64"}, "computes in single precision"),
+        ("wboit", {}, {"diagnostics": True}, 'numbers are watched on backend "cpu"'),
+    ],
+)
+def test_what_the_device_does_not_do_is_refused_by_name(
+    technique: str, params: dict[str, Any], keywords: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(ValueError, match=re.escape(message)):
+        oitlab.render(SCENES["blades"], technique, params, backend="gpu", **keywords)
+
+
+def test_fragments_and_what_is_no_scene_are_refused() -> None:
+    with pytest.raises(ValueError, match='backend: "gpu" takes scenes'):
+        oitlab.render(oitlab.capture(SCENES["blades"]), "wboit", backend="gpu")
+    with pytest.raises(ValueError, match="scene must be a Scene, got int"):
+        oitlab.gpu.capture(3)  # type: ignore[arg-type]
+
+
+def test_images_beyond_the_device_are_refused() -> None:
+    assert DEVICE is not None
+    side = DEVICE.limits["image_side"] + 1
+    if side > 16_384:
+        pytest.skip(f"no image has {side} pixels along a side")
+    with pytest.raises(ValueError, match=f"width: {side} is more than"):
+        oitlab.render(SCENES["empty"].replace(width=side, height=1), "wboit", backend="gpu")
+
+
+def test_the_command_line_compares_on_the_gpu(capsys: pytest.CaptureFixture[str]) -> None:
+    from oitlab.cli import main
+
+    size = ["--width", "32", "--height", "18"]
+    assert main(["compare", "scene:blades", "--backend", "gpu", "--techniques", "wboit,a_buffer", *size]) == 0
+    assert "cpu; techniques on the gpu" in capsys.readouterr().out

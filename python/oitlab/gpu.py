@@ -1,7 +1,8 @@
 """The GPU backend: what device there is, what it can do, and the fragments as it finds them.
 
-`oitlab.render(..., backend="gpu")` renders with it. The CPU clips, projects and snaps the geometry and draws opaque
-surfaces; the device covers the same pixels with the same primitives, and does the rest in single precision.
+`oitlab.render(..., backend="gpu")` renders with it. The CPU clips, projects and snaps the geometry and draws
+opaque surfaces; the device covers the same pixels with the same primitives, and does the rest in single
+precision.
 """
 
 from __future__ import annotations
@@ -28,11 +29,11 @@ class GpuInfo:
     interface: str
     """vulkan, metal or dx12."""
     features: Mapping[str, bool]
-    """Whether it has what some params want: timestamps (times are the device's own; without them they are those of the
-    clock on the wall), float32_blending (format="f32" of blended techniques), unorm16."""
+    """Whether it has what some params want: timestamps (times are the device's own; without them they are
+    those of the clock on the wall), float32_blending (format="f32" of blended techniques), unorm16."""
     limits: Mapping[str, int]
-    """Pixels along an image's sides, bytes of a buffer and of what a shader sees of one, bytes per pixel of render
-    targets. Geometry and fragment lists beyond them are drawn in parts."""
+    """Pixels along an image's sides, bytes of a buffer and of what a shader sees of one, bytes per pixel of
+    render targets. Geometry and fragment lists beyond them are drawn in parts."""
     techniques: tuple[str, ...]
     """The techniques that it renders with their default params."""
     refused: Mapping[str, str]
@@ -102,8 +103,8 @@ def capture(scene: Scene) -> Fragments:
     Returns
     -------
     Fragments
-        The same pixels, primitives and order as those of `oitlab.capture`; depths are one unit in the last place off at
-        most where a triangle is not clipped, colours that vary over a triangle about 1e-6.
+        The same pixels, primitives and order as those of `oitlab.capture`. Where a triangle is not clipped,
+        depths are one unit in the last place off at most; colours that vary over a triangle about 1e-6.
 
     Raises
     ------

@@ -293,10 +293,12 @@ def headline(comparison: Comparison, title: str) -> str:
     """
     stats = comparison.reference.stats
     height, width = comparison.reference.color.shape[:2]
+    others = {frame.stats.backend for frame in comparison.frames} - {stats.backend}
     return (
         f"{title}, {width} x {height}: {stats.fragments:,} fragments, "
         f"{stats.depth_complexity_mean:.2f} per pixel (at most {stats.depth_complexity_max:,}), "
         f"raster {stats.raster_ms:.1f} ms, {stats.threads} threads, {stats.backend}"
+        + "".join(f"; techniques on the {backend}" for backend in sorted(others))
     )
 
 

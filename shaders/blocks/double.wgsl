@@ -1,11 +1,15 @@
-// Sums of two f32, for what one f32 cannot hold. No step may be reassociated; contracting a product and a sum into one
-// operation changes nothing, since the products are exact.
+// Sums of two f32, for what one f32 cannot hold. Compilers take (a + b) - a for b, which it is not here: what they must not look
+// through goes by `unseen`. Contracting a product and a sum into one operation changes nothing, since the products are exact.
+
+fn unseen(x: f32) -> f32 {
+    return bitcast<f32>(bitcast<u32>(x) ^ frame.zero);
+}
 
 // a + b, and what rounding took away from it (Knuth 1969).
 fn two_sum(a: f32, b: f32) -> vec2f {
-    let sum = a + b;
-    let part = sum - a;
-    return vec2f(sum, (a - (sum - part)) + (b - part));
+    let sum = unseen(a + b);
+    let part = unseen(sum - a);
+    return vec2f(sum, unseen(a - unseen(sum - part)) + unseen(b - part));
 }
 
 // The first half of a number's digits: products of halves are exact.
@@ -25,11 +29,14 @@ fn linear(at: vec2f, x: vec3f, y: vec3f, d: vec2f) -> vec2f {
 
 // 1 / x, rounded once but for one time in thousands.
 fn reciprocal(x: vec2f) -> f32 {
-    let q = 1.0 / x.x;
+    let q = unseen(1.0 / x.x);
     let q_upper = upper_half(q);
-    let q_lower = q - q_upper;
+    let q_lower = unseen(q - q_upper);
     let x_upper = upper_half(x.x);
-    let x_lower = x.x - x_upper;
-    let residual = (((1.0 - q_upper * x_upper) - q_upper * x_lower) - q_lower * x_upper) - q_lower * x_lower;
-    return q + q * (residual - q * x.y);
+    let x_lower = unseen(x.x - x_upper);
+    var residual = unseen(1.0 - q_upper * x_upper);
+    residual = unseen(residual - q_upper * x_lower);
+    residual = unseen(residual - q_lower * x_upper);
+    residual = unseen(residual - q_lower * x_lower);
+    return q + q * unseen(residual - q * x.y);
 }

@@ -11,6 +11,8 @@ struct Frame {
     half_viewport: f32,
     has_opaque: u32,
     background: vec3f,
+    // 0, which no compiler knows
+    zero: u32,
 }
 
 @group(0) @binding(0) var<uniform> frame: Frame;

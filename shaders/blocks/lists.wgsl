@@ -81,8 +81,18 @@ fn list_of(pixel: vec2u) -> vec2u {
     return vec2u(atomicLoad(&places[place]) - count, count);
 }
 
-fn comes_before(a: vec2u, b: vec2u) -> bool {
+// Lists are sorted as they were submitted, in which order primitive ids ascend, not by depth.
+override by_submission: bool = false;
+
+fn comes_before_by_depth(a: vec2u, b: vec2u) -> bool {
     return a.x < b.x || (a.x == b.x && a.y < b.y);
+}
+
+fn comes_before(a: vec2u, b: vec2u) -> bool {
+    if by_submission {
+        return a.y < b.y;
+    }
+    return comes_before_by_depth(a, b);
 }
 
 const FEW = 24u;
@@ -142,7 +152,7 @@ fn heap_sort(first: u32, count: u32) {
     }
 }
 
-// Each pixel's fragments by (depth, primitive), nearest first.
+// Each pixel's fragments by (depth, primitive), nearest first, or by primitive.
 @compute @workgroup_size(8, 8)
 fn sort_lists(@builtin(global_invocation_id) id: vec3u) {
     if id.x >= frame.size.x || id.y >= frame.rows {

@@ -170,8 +170,8 @@ pub fn param_specs(targets: &'static [Target]) -> impl Iterator<Item = ParamSpec
 /// The formats that params ask for.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Formats {
-    /// Name, format and bytes of each target that there is.
-    targets: Vec<(&'static str, Format, f64)>,
+    /// Name, format and bytes of each target that there is, and the format that it has on a device.
+    targets: Vec<(&'static str, Format, f64, Format)>,
     /// Whether they are those that the technique has if nobody says anything.
     default: bool,
 }
@@ -188,8 +188,8 @@ impl Formats {
             let format = Format::from_name(chosen).unwrap_or_else(|| unreachable!("{chosen:?} was checked"));
             // what is double by default stands for the f32 target that a device would have
             let stands_for_f32 = target.double && common == Format::F32.name() && format == Format::F64;
-            let bytes = if stands_for_f32 { Format::F32 } else { format }.bytes(target.channels);
-            formats.targets.push((target.name, format, bytes));
+            let on_device = if stands_for_f32 { Format::F32 } else { format };
+            formats.targets.push((target.name, format, on_device.bytes(target.channels), on_device));
         }
         formats
     }
@@ -210,6 +210,15 @@ impl Formats {
     /// The format of a target that may not be there.
     pub fn find(&self, name: &str) -> Option<Format> {
         self.targets.iter().find(|target| target.0 == name).map(|target| target.1)
+    }
+
+    /// The format that a target has on a device: f32 where double precision by default stands for it.
+    ///
+    /// # Panics
+    /// If there is no such target under these params.
+    pub fn on_device(&self, name: &str) -> Format {
+        let target = self.targets.iter().find(|target| target.0 == name);
+        target.unwrap_or_else(|| panic!("there is no target {name:?}")).3
     }
 
     /// Bytes per pixel of all targets, each once. What is kept in double precision by default counts as the f32 target

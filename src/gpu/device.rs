@@ -4,8 +4,8 @@ use crate::error::{Error, Result};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 use wgpu::{
-    Adapter, AdapterInfo, Device, DownlevelFlags, ErrorFilter, Features, Instance, InstanceDescriptor, Limits,
-    PollType, PowerPreference, Queue, RequestAdapterOptions, SubmissionIndex,
+    Adapter, AdapterInfo, Device, DownlevelFlags, ErrorFilter, Features, Instance, InstanceDescriptor,
+    Limits, PollType, PowerPreference, Queue, RequestAdapterOptions, SubmissionIndex,
 };
 
 /// What is used where an adapter has it.
@@ -140,13 +140,16 @@ async fn choose(instance: &Instance) -> Result<Adapter> {
     if let Ok(name) = std::env::var("WGPU_ADAPTER_NAME") {
         let adapters = instance.enumerate_adapters(wgpu::Backends::all()).await;
         let names = adapters.iter().map(|adapter| adapter.get_info().name).collect::<Vec<_>>().join(", ");
-        let wanted = |adapter: &Adapter| adapter.get_info().name.to_lowercase().contains(&name.to_lowercase());
+        let wanted =
+            |adapter: &Adapter| adapter.get_info().name.to_lowercase().contains(&name.to_lowercase());
         return adapters.into_iter().find(wanted).ok_or_else(|| {
-            let there = if names.is_empty() { HOW_TO_GET_A_DRIVER.to_owned() } else { format!("there is {names}") };
+            let there =
+                if names.is_empty() { HOW_TO_GET_A_DRIVER.to_owned() } else { format!("there is {names}") };
             Error::Gpu(format!("no adapter's name contains WGPU_ADAPTER_NAME={name:?}; {there}"))
         });
     }
-    let options = RequestAdapterOptions { power_preference: PowerPreference::HighPerformance, ..Default::default() };
+    let options =
+        RequestAdapterOptions { power_preference: PowerPreference::HighPerformance, ..Default::default() };
     instance
         .request_adapter(&options)
         .await

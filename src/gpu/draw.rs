@@ -1,16 +1,16 @@
 //! Passes: counting fragments, blending them or keeping them all, and making an image of what that leaves.
 
 use super::device::Connection;
-use super::form::{Blending, Form, Path, background_module, list_module};
+use super::form::{Blending, Form, Listing, Path, Sorting, background_module, list_module};
 use super::layouts::{Draws, Entry, Layouts, blended, plain};
 use super::picture::{Picture, buffer, bytes_of, texture};
 use super::recorder::{Recorder, Stage, Times, read};
 use crate::error::{Error, Result};
 use std::ops::Range;
 use wgpu::{
-    BindGroup, BindGroupDescriptor, BindGroupEntry, BindGroupLayout, BindingResource, Buffer, BufferUsages, Color,
-    ColorWrites, LoadOp, Operations, RenderPass, RenderPassColorAttachment, StoreOp, TextureFormat, TextureUsages,
-    TextureView,
+    BindGroup, BindGroupDescriptor, BindGroupEntry, BindGroupLayout, BindingResource, Buffer, BufferUsages,
+    Color, ColorWrites, LoadOp, Operations, RenderPass, RenderPassColorAttachment, StoreOp, TextureFormat,
+    TextureUsages, TextureView,
 };
 
 /// Bytes of a pixel in the image that a resolve writes.
@@ -46,7 +46,7 @@ struct ListBuffers {
     colors: Buffer,
 }
 
-/// Every fragment, row by row and pixel by pixel, nearest first.
+/// Every fragment, row by row and pixel by pixel, as they were submitted.
 #[derive(Debug, Default)]
 pub struct Captured {
     /// Fragments per pixel.
@@ -106,7 +106,7 @@ impl Gpu {
     pub fn image(&mut self, picture: &Picture, form: &Form, stop: Stop<'_>) -> Result<Image> {
         match &form.path {
             Path::Blended(blending) => self.blended(picture, form, blending, stop),
-            Path::Sorted { resolve } => self.sorted(picture, form, resolve, stop),
+            Path::Listed(listing) => self.listed(picture, form, listing, stop),
         }
     }
 
@@ -119,9 +119,19 @@ impl Gpu {
         let frame = self.frame(picture, &all, &[]);
         let mut recorder = Recorder::new(&self.connection, stop);
         recorder.clear(&picture.counts);
-        draw_into_lists(&self.connection, &mut self.layouts, &mut recorder, picture, "count_fragment", &frame, &lists.group, &all)?;
+        draw_into_lists(
+            &self.connection,
+            &mut self.layouts,
+            &mut recorder,
+            picture,
+            "count_fragment",
+            &frame,
+            &lists.group,
+            &all,
+        )?;
         sum_rows(&self.connection, &mut self.layouts, &mut recorder, picture, &frame, &lists.group)?;
-        let (rows, times): (Vec<[u32; 2]>, _) = recorder.finish(&lists.row_sums, 8 * u64::from(picture.height))?;
+        let (rows, times): (Vec<[u32; 2]>, _) =
+            recorder.finish(&lists.row_sums, 8 * u64::from(picture.height))?;
         (picture.rows, picture.count_ms) = (rows, times.raster);
         Ok(())
     }
@@ -145,13 +155,21 @@ impl Gpu {
     }
 
     /// Hardware blending, then the resolve.
-    fn blended(&mut self, picture: &Picture, form: &Form, blending: &Blending, stop: Stop<'_>) -> Result<Image> {
+    fn blended(
+        &mut self,
+        picture: &Picture,
+        form: &Form,
+        blending: &Blending,
+        stop: Stop<'_>,
+    ) -> Result<Image> {
         let formats = self.connection.target_formats(blending)?;
         let size = (picture.width, picture.height);
         let usage = TextureUsages::RENDER_ATTACHMENT | TextureUsages::TEXTURE_BINDING;
         let views: Vec<TextureView> = formats
             .iter()
-            .map(|format| texture(&self.connection, "target", size, *format, usage).create_view(&Default::default()))
+            .map(|format| {
+                texture(&self.connection, "target", size, *format, usage).create_view(&Default::default())
+            })
             .collect();
         let params: Vec<_> = form.numbers.iter().map(|number| number.bits()).collect();
         let module = form.module();
@@ -169,17 +187,37 @@ impl Gpu {
             let mut recorder = Recorder::new(connection, stop);
             if band.start == 0 {
                 let targets = (&views[..], &formats[..]);
-                draw_blended(connection, layouts, &mut recorder, picture, form, blending, &module, targets, &frame)?;
+                draw_blended(
+                    connection,
+                    layouts,
+                    &mut recorder,
+                    picture,
+                    form,
+                    blending,
+                    &module,
+                    targets,
+                    &frame,
+                )?;
             }
             let entry = Entry { module: &module, point: blending.resolve };
-            let pipeline = layouts.compute(&connection.device, entry, false, true);
-            resolve(connection, layouts, recorder, picture, form, band, &pipeline, [&frame, &targets], &mut image)?;
+            let pipeline = layouts.compute(&connection.device, entry, false, true, &[]);
+            resolve(
+                connection,
+                layouts,
+                recorder,
+                picture,
+                form,
+                band,
+                &pipeline,
+                [&frame, &targets],
+                &mut image,
+            )?;
         }
         Ok(image)
     }
 
-    /// Every fragment, sorted by pixel, in as many parts of the image as their number asks for.
-    fn sorted(&mut self, picture: &Picture, form: &Form, point: &str, stop: Stop<'_>) -> Result<Image> {
+    /// Lists of all fragments, in as many parts of the image as their number asks for.
+    fn listed(&mut self, picture: &Picture, form: &Form, listing: &Listing, stop: Stop<'_>) -> Result<Image> {
         let bands = self.bands_of_fragments(picture, self.rows_per_band(picture, form))?;
         let lists = self.lists_for(picture, &bands);
         let params: Vec<_> = form.numbers.iter().map(|number| number.bits()).collect();
@@ -189,8 +227,22 @@ impl Gpu {
             let frame = self.frame(picture, band, &params);
             let Self { connection, layouts } = self;
             let mut recorder = Recorder::new(connection, stop);
-            fill_lists(connection, layouts, &mut recorder, picture, &frame, &lists.group, band)?;
-            let pipeline = layouts.compute(&connection.device, Entry { module: &module, point }, true, true);
+            fill_lists(
+                connection,
+                layouts,
+                &mut recorder,
+                picture,
+                [&frame, &lists.group],
+                band,
+                listing.sorted,
+            )?;
+            let pipeline = layouts.compute(
+                &connection.device,
+                Entry { module: &module, point: listing.resolve },
+                true,
+                true,
+                &[],
+            );
             let groups = [&frame, &lists.group];
             resolve(connection, layouts, recorder, picture, form, band, &pipeline, groups, &mut image)?;
         }
@@ -210,12 +262,23 @@ impl Gpu {
             let frame = self.frame(picture, band, &[]);
             let Self { connection, layouts } = self;
             let mut recorder = Recorder::new(connection, stop);
-            fill_lists(connection, layouts, &mut recorder, picture, &frame, &lists.group, band)?;
+            fill_lists(
+                connection,
+                layouts,
+                &mut recorder,
+                picture,
+                [&frame, &lists.group],
+                band,
+                Sorting::Submission,
+            )?;
             // all counts come once, with the last band
             let last = band.end == picture.height;
             let counts = if last { 4 * u64::from(picture.width) * u64::from(picture.height) } else { 0 };
-            let sources =
-                [(&lists.keys, KEY * fragments), (&lists.colors, COLOR * fragments), (&picture.counts, counts)];
+            let sources = [
+                (&lists.keys, KEY * fragments),
+                (&lists.colors, COLOR * fragments),
+                (&picture.counts, counts),
+            ];
             let (landed, _) = recorder.finish_all(&sources)?;
             captured.keys.extend(read::<[u32; 2]>(&landed[0], KEY * fragments)?);
             captured.colors.extend(read::<[f32; 4]>(&landed[1], COLOR * fragments)?);
@@ -322,19 +385,20 @@ fn fill_lists(
     layouts: &mut Layouts,
     recorder: &mut Recorder<'_>,
     picture: &Picture,
-    frame: &BindGroup,
-    lists: &BindGroup,
+    [frame, lists]: [&BindGroup; 2],
     band: &Range<u32>,
+    sorting: Sorting,
 ) -> Result<()> {
     if band.start == 0 {
         sum_rows(connection, layouts, recorder, picture, frame, lists)?;
     }
     let module = list_module();
     let entry = |point| Entry { module: &module, point };
-    let shift = layouts.compute(&connection.device, entry("shift_rows"), true, false);
+    let shift = layouts.compute(&connection.device, entry("shift_rows"), true, false, &[]);
     dispatch(recorder, Stage::Raster, &shift, &[frame, lists], picture, band)?;
     draw_into_lists(connection, layouts, recorder, picture, "store_fragment", frame, lists, band)?;
-    let sort = layouts.compute(&connection.device, entry("sort_lists"), true, false);
+    let by_submission = [("by_submission", f64::from(u8::from(sorting == Sorting::Submission)))];
+    let sort = layouts.compute(&connection.device, entry("sort_lists"), true, false, &by_submission);
     dispatch(recorder, Stage::Resolve, &sort, &[frame, lists], picture, band)
 }
 
@@ -364,7 +428,7 @@ fn sum_rows(
     lists: &BindGroup,
 ) -> Result<()> {
     let entry = Entry { module: &list_module(), point: "sum_rows" };
-    let pipeline = layouts.compute(&connection.device, entry, true, false);
+    let pipeline = layouts.compute(&connection.device, entry, true, false, &[]);
     recorder.compute(Stage::Raster, |pass| {
         pass.set_pipeline(&pipeline);
         pass.set_bind_group(0, frame, &[]);
@@ -373,16 +437,23 @@ fn sum_rows(
     })
 }
 
-fn attachment<'a>(view: &'a TextureView, load: LoadOp<Color>, store: StoreOp) -> Option<RenderPassColorAttachment<'a>> {
-    Some(RenderPassColorAttachment { view, depth_slice: None, resolve_target: None, ops: Operations { load, store } })
+fn attachment<'a>(
+    view: &'a TextureView,
+    load: LoadOp<Color>,
+    store: StoreOp,
+) -> Option<RenderPassColorAttachment<'a>> {
+    Some(RenderPassColorAttachment {
+        view,
+        depth_slice: None,
+        resolve_target: None,
+        ops: Operations { load, store },
+    })
 }
 
 fn draw_primitives(pass: &mut RenderPass<'_>, picture: &Picture, rows: &Range<u32>) {
     #[expect(clippy::cast_precision_loss, reason = "whole numbers of less than 2^24")]
-    let ((x, y), size) = (
-        (picture.viewport.origin.0 as f32, picture.viewport.origin.1 as f32),
-        picture.viewport.size as f32,
-    );
+    let ((x, y), size) =
+        ((picture.viewport.origin.0 as f32, picture.viewport.origin.1 as f32), picture.viewport.size as f32);
     pass.set_viewport(x, y, size, size, 0.0, 1.0);
     pass.set_scissor_rect(0, rows.start, picture.width, rows.end - rows.start);
     for (geometry, primitives) in &picture.batches {
@@ -404,7 +475,13 @@ fn draw_into_lists(
     rows: &Range<u32>,
 ) -> Result<()> {
     let format = TextureFormat::R8Unorm;
-    let unused = texture(connection, "none", (picture.width, picture.height), format, TextureUsages::RENDER_ATTACHMENT);
+    let unused = texture(
+        connection,
+        "none",
+        (picture.width, picture.height),
+        format,
+        TextureUsages::RENDER_ATTACHMENT,
+    );
     let unused = unused.create_view(&Default::default());
     let draws = Draws::Primitives { perspective: picture.perspective, zero_fragments: true };
     let entry = Entry { module: &list_module(), point };
@@ -451,7 +528,8 @@ fn draw_blended(
         _ => LoadOp::Clear(Color { r, g, b, a }),
     };
     let clears = blending.targets.iter().map(|target| target.clear).enumerate().map(load);
-    let targets: Vec<_> = views.iter().zip(clears).map(|(view, load)| attachment(view, load, StoreOp::Store)).collect();
+    let targets: Vec<_> =
+        views.iter().zip(clears).map(|(view, load)| attachment(view, load, StoreOp::Store)).collect();
     recorder.render(Stage::Raster, &targets, |pass| {
         pass.set_pipeline(&pipeline);
         pass.set_bind_group(0, frame, &[]);

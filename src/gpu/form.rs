@@ -2,7 +2,7 @@
 //! it wants every fragment. Forms know no device, so the registry can say what has one in any build.
 
 use crate::error::Result;
-use crate::format::{Format, Formats};
+use crate::format::{Format, Formats, Target};
 use crate::params::{Params, View};
 
 /// A technique's entry in the registry: makes its form under params, or refuses params that have none.
@@ -53,11 +53,65 @@ impl Number {
 pub enum Path {
     /// Through the blend unit, in submission order.
     Blended(Blending),
-    /// As lists sorted by (depth, primitive), of which the compute shader of this name makes the image.
-    Sorted {
-        /// The entry point.
-        resolve: &'static str,
-    },
+    /// As lists, of which a compute shader makes the image.
+    Listed(Listing),
+}
+
+/// Every fragment in its pixel's list, and one pass over the image.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Listing {
+    /// The compute shader's entry point.
+    pub resolve: &'static str,
+    /// How lists are sorted.
+    pub sorted: Sorting,
+    /// How many layers a pixel keeps, for shaders that keep `LAYERS`.
+    pub layers: Option<u32>,
+}
+
+/// An order of lists.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Sorting {
+    /// By (depth, primitive), nearest first.
+    Depth,
+    /// As the fragments were submitted.
+    Submission,
+}
+
+/// The order in which a technique is handed a pixel's fragments: how lists are sorted for it, and whether they are read from
+/// their end.
+///
+/// # Errors
+/// `Error::Param` for orders that lists are not sorted in.
+pub fn submission(params: &Params) -> Result<(Sorting, Number)> {
+    match params.text("submission_order") {
+        "as_is" => Ok((Sorting::Submission, Number::Whole(0))),
+        "reversed" => Ok((Sorting::Submission, Number::Whole(1))),
+        "sorted" => Ok((Sorting::Depth, Number::Whole(0))),
+        "back_to_front" => Ok((Sorting::Depth, Number::Whole(1))),
+        other => {
+            let problem = format!("submission_order={other:?} has no form on the backend \"gpu\" for lists");
+            Err(params
+                .error(problem, "there it is one of \"as_is\", \"reversed\", \"sorted\", \"back_to_front\""))
+        }
+    }
+}
+
+/// Layers that a shader keeps per pixel, at most: they are in registers, where there is little room.
+const MOST_LAYERS: usize = 32;
+
+/// The number of layers that a shader keeps.
+///
+/// # Errors
+/// `Error::Param` if they are too many.
+pub fn layers(params: &Params) -> Result<u32> {
+    let layers = params.size("layers");
+    match u32::try_from(layers) {
+        Ok(fit) if layers <= MOST_LAYERS => Ok(fit),
+        _ => {
+            let problem = format!("layers={layers} has no form on the backend \"gpu\"");
+            Err(params.error(problem, format!("there layers is at most {MOST_LAYERS}")))
+        }
+    }
 }
 
 /// One pass over the geometry into render targets, and one over the image that reads them.
@@ -110,6 +164,7 @@ const FRAGMENT: &str = include_str!("../../shaders/blocks/fragment.wgsl");
 const WEIGHT: &str = include_str!("../../shaders/blocks/weight.wgsl");
 const RESOLVE: &str = include_str!("../../shaders/blocks/resolve.wgsl");
 const LISTS: &str = include_str!("../../shaders/blocks/lists.wgsl");
+const LAYERS: &str = include_str!("../../shaders/blocks/layers.wgsl");
 const BACKGROUND: &str = include_str!("../../shaders/blocks/background.wgsl");
 
 /// The module that counts, stores and sorts fragments, and the one that puts the background into a target: no
@@ -126,8 +181,17 @@ pub fn background_module() -> String {
 impl Form {
     /// The shader with the blocks that it may use.
     pub fn module(&self) -> String {
-        let lists = if matches!(self.path, Path::Sorted { .. }) { LISTS } else { "" };
-        [FRAME, DOUBLE, FRAGMENT, WEIGHT, RESOLVE, lists, self.shader].join("\n")
+        let mut parts = vec![FRAME, DOUBLE, FRAGMENT, WEIGHT, RESOLVE];
+        let layers;
+        if let Path::Listed(listing) = &self.path {
+            parts.push(LISTS);
+            if let Some(count) = listing.layers {
+                layers = format!("const LAYERS = {count}u;");
+                parts.extend([layers.as_str(), LAYERS]);
+            }
+        }
+        parts.push(self.shader);
+        parts.join("\n")
     }
 }
 
@@ -162,9 +226,7 @@ pub fn target_format(
     param: &'static str,
     accepted: &[Format],
 ) -> Result<Format> {
-    let format = formats.of(name);
-    let by_default = format == Format::F64 && params.text("format") == Format::F32.name();
-    let format = if by_default { Format::F32 } else { format };
+    let format = formats.on_device(name);
     if accepted.contains(&format) {
         return Ok(format);
     }
@@ -184,6 +246,18 @@ pub fn only(params: &Params, name: &str, only: &str) -> Result<()> {
     }
     let problem = format!("{name}={given:?} has no form on the backend \"gpu\"");
     Err(params.error(problem, &format!("there {name} is {only:?}")))
+}
+
+/// Refuses nodes that are not in f32.
+///
+/// # Errors
+/// `Error::Param` saying so.
+pub fn only_default_formats(params: &Params, targets: &'static [Target]) -> Result<()> {
+    if Formats::from_params(targets, params).are_default() {
+        return Ok(());
+    }
+    let problem = "nodes of other formats than f32 have no form on the backend \"gpu\"";
+    Err(params.error(problem, "there format and the formats of all targets are \"f32\""))
 }
 
 /// What a device's blend units may have of floats and of numbers up to one.
@@ -232,7 +306,7 @@ mod tests {
             let (size, names) = interface(&module);
             let needed = match &form.path {
                 Path::Blended(blending) => vec!["place", blending.draw, blending.resolve],
-                Path::Sorted { resolve } => vec!["place", "count_fragment", "sort_lists", *resolve],
+                Path::Listed(listing) => vec!["place", "count_fragment", "sort_lists", listing.resolve],
             };
             assert!(needed.iter().all(|name| names.contains(name)), "{}: {names:?}", info.id);
             let bytes = u32::try_from(4 * form.numbers.len()).unwrap();
@@ -269,9 +343,14 @@ mod tests {
             form(crate::techniques::find(id).unwrap(), given).unwrap_err().to_string()
         };
         let message = refused("wboit", &[("summation", "fixed")]);
-        assert!(message.contains("wboit: summation=\"fixed\"") && message.contains("is \"plain\""), "{message}");
+        assert!(
+            message.contains("wboit: summation=\"fixed\"") && message.contains("is \"plain\""),
+            "{message}"
+        );
         let message = refused("blended_oit", &[("accumulation_format", "bf16")]);
         assert!(message.contains("accumulation_format=\"bf16\"") && message.contains("\"f16\""), "{message}");
+        let message = refused("blended_oit", &[("accumulation_format", "f64")]);
+        assert!(message.contains("accumulation_format=\"f64\""), "{message}");
         let message = refused("wboit", &[("format", "f16"), ("revealage_format", "f64")]);
         assert!(message.contains("revealage_format=\"f64\""), "{message}");
         assert!(refused("a_buffer", &[("format", "f16")]).contains("nodes of other formats"));

@@ -74,7 +74,7 @@ fn why_not(connection: &Connection, technique: &technique::Info) -> Option<Strin
         .and_then(|checked| make(&checked.resolve(&table, &View::ORDINARY), &View::ORDINARY));
     let fits = form.and_then(|form| match &form.path {
         Path::Blended(blending) => connection.target_formats(blending).map(drop),
-        Path::Sorted { .. } => Ok(()),
+        Path::Listed(_) => Ok(()),
     });
     fits.err().map(|error| error.to_string())
 }

@@ -7,10 +7,10 @@ use crate::format::Format;
 use std::collections::HashMap;
 use std::sync::Arc;
 use wgpu::{
-    BindGroupLayout, BindGroupLayoutDescriptor, BindGroupLayoutEntry, BindingType, BlendComponent, BlendFactor,
-    BlendOperation, BlendState, BufferBindingType, ColorTargetState, ColorWrites, ComputePipeline, Device, Features,
-    RenderPipeline, ShaderModule, ShaderStages, TextureFormat, TextureFormatFeatureFlags, TextureSampleType,
-    TextureUsages, TextureViewDimension,
+    BindGroupLayout, BindGroupLayoutDescriptor, BindGroupLayoutEntry, BindingType, BlendComponent,
+    BlendFactor, BlendOperation, BlendState, BufferBindingType, ColorTargetState, ColorWrites,
+    ComputePipeline, Device, Features, RenderPipeline, ShaderModule, ShaderStages, TextureFormat,
+    TextureFormatFeatureFlags, TextureSampleType, TextureUsages, TextureViewDimension,
 };
 
 /// Most render targets that a technique has.
@@ -83,7 +83,10 @@ impl Layouts {
         };
         let uniform = buffer(BufferBindingType::Uniform);
         Self {
-            frame: layout("frame", &[entry(0, uniform), entry(1, TEXTURE), entry(2, TEXTURE), entry(3, uniform)]),
+            frame: layout(
+                "frame",
+                &[entry(0, uniform), entry(1, TEXTURE), entry(2, TEXTURE), entry(3, uniform)],
+            ),
             geometry: layout("geometry", &[0, 1, 2].map(|binding| entry(binding, buffer(READ)))),
             targets: layout("targets", &[0, 1].map(|binding| entry(binding, TEXTURE))),
             lists: layout("lists", &[0, 1, 2, 3, 4, 5].map(written)),
@@ -130,12 +133,15 @@ impl Layouts {
         let (vertex, constants) = match draws {
             Draws::Background => ("cover_all", vec![]),
             Draws::Primitives { perspective, zero_fragments } => {
-                let flags = [("perspective", flag(perspective)), ("shows_zero_fragments", flag(zero_fragments))];
+                let flags =
+                    [("perspective", flag(perspective)), ("shows_zero_fragments", flag(zero_fragments))];
                 ("place", flags.to_vec())
             }
         };
-        let options =
-            wgpu::PipelineCompilationOptions { constants: &constants, zero_initialize_workgroup_memory: false };
+        let options = wgpu::PipelineCompilationOptions {
+            constants: &constants,
+            zero_initialize_workgroup_memory: false,
+        };
         let targets: Vec<_> = targets.iter().cloned().map(Some).collect();
         let pipeline = device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
             label: Some(shader.point),
@@ -168,8 +174,9 @@ impl Layouts {
         shader: Entry<'_>,
         of_lists: bool,
         writes_image: bool,
+        constants: &[(&str, f64)],
     ) -> Arc<ComputePipeline> {
-        let key = format!("{}\n{}", shader.point, shader.module);
+        let key = format!("{} {constants:?}\n{}", shader.point, shader.module);
         if let Some(pipeline) = self.computes.get(&key) {
             return Arc::clone(pipeline);
         }
@@ -186,7 +193,7 @@ impl Layouts {
             layout: Some(&layout),
             module: &module,
             entry_point: Some(shader.point),
-            compilation_options: wgpu::PipelineCompilationOptions::default(),
+            compilation_options: wgpu::PipelineCompilationOptions { constants, ..Default::default() },
             cache: None,
         });
         Arc::clone(self.computes.entry(key).or_insert(Arc::new(pipeline)))
@@ -231,7 +238,9 @@ impl Connection {
         let fits = |format: &TextureFormat| {
             let of = self.adapter.get_texture_format_features(*format);
             self.features.contains(format.required_features())
-                && of.allowed_usages.contains(TextureUsages::RENDER_ATTACHMENT | TextureUsages::TEXTURE_BINDING)
+                && of
+                    .allowed_usages
+                    .contains(TextureUsages::RENDER_ATTACHMENT | TextureUsages::TEXTURE_BINDING)
                 && of.flags.contains(TextureFormatFeatureFlags::BLENDABLE)
                 && (target.format != Format::F32 || self.features.contains(Features::FLOAT32_BLENDABLE))
         };

@@ -6,8 +6,8 @@ use super::layouts::Layouts;
 use crate::error::{Error, Result};
 use crate::raster::{Drawn, Rect};
 use wgpu::{
-    BindGroup, BindGroupDescriptor, BindGroupEntry, Buffer, BufferDescriptor, BufferUsages, Extent3d, Texture,
-    TextureDescriptor, TextureDimension, TextureFormat, TextureUsages, TextureView,
+    BindGroup, BindGroupDescriptor, BindGroupEntry, Buffer, BufferDescriptor, BufferUsages, Extent3d,
+    Texture, TextureDescriptor, TextureDimension, TextureFormat, TextureUsages, TextureView,
 };
 
 /// The opaque surfaces of an image, row by row from the top.
@@ -96,7 +96,8 @@ fn uploaded<T: bytemuck::Pod>(
     format: TextureFormat,
     texels: &[T],
 ) -> TextureView {
-    let texture = texture(connection, label, size, format, TextureUsages::TEXTURE_BINDING | TextureUsages::COPY_DST);
+    let texture =
+        texture(connection, label, size, format, TextureUsages::TEXTURE_BINDING | TextureUsages::COPY_DST);
     let bytes = bytes_of(texels);
     if !bytes.is_empty() {
         let layout = wgpu::TexelCopyBufferLayout {
@@ -135,7 +136,13 @@ impl Picture {
             viewport,
             has_opaque: view.opaque.is_some(),
             opaque_depth: uploaded(connection, "opaque depth", size, TextureFormat::R32Float, &opaque.depth),
-            opaque_color: uploaded(connection, "opaque color", size, TextureFormat::Rgba32Float, &opaque.color),
+            opaque_color: uploaded(
+                connection,
+                "opaque color",
+                size,
+                TextureFormat::Rgba32Float,
+                &opaque.color,
+            ),
             batches: Vec::new(),
             counts: buffer(connection, "counts", 4 * pixels, BufferUsages::STORAGE | BufferUsages::COPY_SRC),
             rows: Vec::new(),
@@ -210,14 +217,18 @@ fn check_size(connection: &Connection, width: u32, height: u32) -> Result<()> {
     let most = limits.max_texture_dimension_2d;
     for (name, extent) in [("width", width), ("height", height)] {
         if extent > most {
-            let problem = format!("{extent} is more than the {most} pixels that {} has textures of", connection.info.name);
+            let problem = format!(
+                "{extent} is more than the {most} pixels that {} has textures of",
+                connection.info.name
+            );
             return Err(Error::argument(name, problem));
         }
     }
     let pixels = u64::from(width) * u64::from(height);
     let most = u64::from(limits.max_storage_buffer_binding_size).min(limits.max_buffer_size) / 4;
     if pixels > most {
-        let problem = format!("an image of {pixels} pixels; {} counts fragments of {most}", connection.info.name);
+        let problem =
+            format!("an image of {pixels} pixels; {} counts fragments of {most}", connection.info.name);
         return Err(Error::argument("width", problem));
     }
     Ok(())

@@ -110,7 +110,12 @@ impl Shared {
     ///
     /// # Errors
     /// [`crate::Error::Argument`] for what the device cannot do, and the device's own.
-    pub fn draw(&mut self, key: Key, form: &Form, stop: &(dyn Fn() -> bool + Sync)) -> Result<Option<(Image, (u64, u64))>> {
+    pub fn draw(
+        &mut self,
+        key: Key,
+        form: &Form,
+        stop: &(dyn Fn() -> bool + Sync),
+    ) -> Result<Option<(Image, (u64, u64))>> {
         let Some(place) = self.kept.iter().position(|kept| kept.key == key) else { return Ok(None) };
         let kept = self.kept.remove(place);
         self.kept.push(kept);

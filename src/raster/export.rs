@@ -221,7 +221,11 @@ mod tests {
         let random = |i: u32| f64::from(crate::random::hash32(i, 1, 2, 3, 4)) / f64::from(u32::MAX);
         let point = |i: u32| {
             let reach = if i % 11 == 0 { 3e4 } else { 3.0 };
-            [reach * (2.0 * random(3 * i) - 1.0), 2.0 - 4.0 * random(3 * i + 1), 6.0 - 9.0 * random(3 * i + 2)]
+            [
+                reach * (2.0 * random(3 * i) - 1.0),
+                2.0 - 4.0 * random(3 * i + 1),
+                6.0 - 9.0 * random(3 * i + 2),
+            ]
         };
         let faces = (0..60).map(|i| [3 * i, 3 * i + 1, 3 * i + 2]).collect();
         let colors = Colors::Vertex((0..180_u16).map(|i| [f32::from(i) / 180.0, 0.5, 0.2, 0.5]).collect());
@@ -257,7 +261,12 @@ mod tests {
                 let [r, g, b, alpha] = d.paint.at(&hit);
                 #[expect(clippy::cast_possible_truncation, reason = "fragments store depth as f32")]
                 let depth = depth.clamp(d.range.0, d.range.1) as f32;
-                lists.push(crate::fragments::Fragment { depth, color: [r, g, b], alpha, primitive: d.primitive });
+                lists.push(crate::fragments::Fragment {
+                    depth,
+                    color: [r, g, b],
+                    alpha,
+                    primitive: d.primitive,
+                });
             }
             lists.end_row();
         }
@@ -266,7 +275,8 @@ mod tests {
 
     #[test]
     fn exported_functions_give_the_same_fragments() {
-        for projection in [Projection::Perspective { fov_y: 60.0 }, Projection::Orthographic { height: 4.0 }] {
+        for projection in [Projection::Perspective { fov_y: 60.0 }, Projection::Orthographic { height: 4.0 }]
+        {
             let scene = scene(projection);
             let raster = Raster::new(&scene, SIZE.0, &|| false);
             let rect = raster.rect(0, 0);

@@ -88,7 +88,11 @@ pub fn render_on_gpu(
 /// # Errors
 /// [`Error::Argument`] and [`Error::Memory`] for what is beyond the device, [`Error::Gpu`] without one,
 /// [`Error::Cancelled`] once `stop` returns true.
-pub fn capture_on_gpu(scene: &Scene, options: &Options, stop: &(dyn Fn() -> bool + Sync)) -> Result<Fragments> {
+pub fn capture_on_gpu(
+    scene: &Scene,
+    options: &Options,
+    stop: &(dyn Fn() -> bool + Sync),
+) -> Result<Fragments> {
     with_threads(options.threads, |_| {
         let (captured, range) = with_gpu(|shared| {
             let mut job = Job { scene, shared, hash: scene.content_hash(), stop };
@@ -109,25 +113,18 @@ pub fn capture_on_gpu(scene: &Scene, options: &Options, stop: &(dyn Fn() -> bool
             return Err(Error::Cancelled);
         }
         let (width, height) = (scene.width(), scene.height());
-        Ok(Fragments::captured(width, height, in_submission_order(&captured), background, range, Some(centroids)))
+        Ok(Fragments::captured(width, height, lists_of(&captured), background, range, Some(centroids)))
     })
 }
 
-/// Primitive ids ascend as they are submitted.
-fn in_submission_order(captured: &Captured) -> Lists {
+fn lists_of(captured: &Captured) -> Lists {
     let mut lists = Lists::new();
-    let (mut first, mut places) = (0, Vec::new());
+    let mut fragments = captured.keys.iter().zip(&captured.colors);
     for &count in &captured.counts {
-        let end = first + count as usize;
-        places.clear();
-        places.extend(first..end);
-        places.sort_unstable_by_key(|&place| captured.keys[place][1]);
-        for &place in &places {
-            let ([depth, primitive], [r, g, b, alpha]) = (captured.keys[place], captured.colors[place]);
+        for (&[depth, primitive], &[r, g, b, alpha]) in fragments.by_ref().take(count as usize) {
             lists.push(Fragment { depth: f32::from_bits(depth), color: [r, g, b], alpha, primitive });
         }
         lists.end_row();
-        first = end;
     }
     lists
 }
@@ -138,19 +135,26 @@ fn has_opaque(scene: &Scene) -> bool {
 
 fn bound(info: &'static Info, checked: &Checked, view: &params::View) -> Result<Bound> {
     let Some(make) = info.gpu else {
-        return Err(Error::argument("backend", format!("{:?} has no GPU form yet; its backends: cpu", info.id)));
+        return Err(Error::argument(
+            "backend",
+            format!("{:?} has no GPU form yet; its backends: cpu", info.id),
+        ));
     };
     let variant = bind(info, checked, view)?;
     let form = make(&variant.params, view)?;
     let order = match &form.path {
         // they are sorted afterwards
-        Path::Sorted { .. } => SubmissionOrder::AsIs,
+        Path::Listed(_) => SubmissionOrder::AsIs,
         Path::Blended(_) => variant.order,
     };
     if !order.is_of_primitives() {
         let given = variant.params.text("submission_order");
-        let problem = format!("submission_order={given:?} sorts fragments, which blend units of the backend \"gpu\" cannot");
-        return Err(variant.params.error(problem, "there it is one of \"as_is\", \"reversed\", \"shuffled\", \"centroid\""));
+        let problem = format!(
+            "submission_order={given:?} sorts fragments, which blend units of the backend \"gpu\" cannot"
+        );
+        return Err(variant
+            .params
+            .error(problem, "there it is one of \"as_is\", \"reversed\", \"shuffled\", \"centroid\""));
     }
     Ok(Bound { variant, form, order })
 }
@@ -238,7 +242,8 @@ impl Job<'_> {
 fn split(texels: &[f32], colored: bool) -> (Vec<f32>, Vec<f32>) {
     let texels = texels.as_chunks::<4>().0;
     if colored {
-        let halves = |which: usize| texels.iter().skip(which).step_by(2).flat_map(|t| [t[0], t[1], t[2]]).collect();
+        let halves =
+            |which: usize| texels.iter().skip(which).step_by(2).flat_map(|t| [t[0], t[1], t[2]]).collect();
         return (halves(0), halves(1));
     }
     (texels.iter().flat_map(|t| [t[0], t[1], t[2]]).collect(), texels.iter().map(|t| t[3]).collect())
@@ -273,7 +278,14 @@ fn opaque_surfaces(scene: &Scene, stop: &(dyn Fn() -> bool + Sync)) -> Opaque {
 }
 
 impl Answer {
-    fn frame(&self, scene: &Scene, variant: &Variant, params: Params, duplicate: bool, threads: usize) -> Frame {
+    fn frame(
+        &self,
+        scene: &Scene,
+        variant: &Variant,
+        params: Params,
+        duplicate: bool,
+        threads: usize,
+    ) -> Frame {
         #[expect(clippy::cast_precision_loss, reason = "statistics")]
         let mean = self.fragments as f64 / (f64::from(scene.width()) * f64::from(scene.height()));
         let max = usize::try_from(self.deepest).unwrap_or(usize::MAX);

@@ -4,8 +4,8 @@ use crate::continuum::nodes::{Nodes, bytes_of_sums, sums};
 use crate::error::Result;
 use crate::format::{Formats, Target};
 use crate::fragments::List;
+use crate::gpu::form::{Form, Listing, Path, Sorting, only, only_default_formats};
 use crate::order::sort_key;
-use crate::gpu::form::{Form, Path, only};
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{
     AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties, Resolved, Streamed, Technique,
@@ -75,14 +75,11 @@ fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
 /// Its form on a GPU: exactly as much room as there are fragments, in f32.
 fn gpu(params: &Params, _view: &View) -> Result<Form> {
     only(params, "overflow", "grow")?;
-    if !Formats::from_params(INFO.targets, params).are_default() {
-        let problem = "nodes of other formats than f32 have no form on the backend \"gpu\"";
-        return Err(params.error(problem, "there format and the formats of all targets are \"f32\""));
-    }
+    only_default_formats(params, INFO.targets)?;
     Ok(Form {
         shader: include_str!("../../shaders/a_buffer.wgsl"),
         numbers: Vec::new(),
-        path: Path::Sorted { resolve: "composite" },
+        path: Path::Listed(Listing { resolve: "composite", sorted: Sorting::Depth, layers: None }),
         shows_zero_fragments: false,
         colored_transmittance: false,
     })

@@ -64,7 +64,12 @@ fn gpu(params: &Params, _view: &View) -> Result<Form> {
     Ok(Form {
         shader: include_str!("../../shaders/blended_oit.wgsl"),
         numbers: vec![Number::float(format.max_finite())],
-        path: Path::Blended(Blending { draw: "accumulate", resolve: "resolve", targets, over_background: false }),
+        path: Path::Blended(Blending {
+            draw: "accumulate",
+            resolve: "resolve",
+            targets,
+            over_background: false,
+        }),
         shows_zero_fragments: false,
         colored_transmittance: false,
     })

@@ -7,6 +7,7 @@ use crate::continuum::nodes::{LAYERS, Nodes};
 use crate::continuum::normalize::Unnormalized;
 use crate::continuum::opacity::Alpha;
 use crate::error::Result;
+use crate::gpu::form::{Form, Listing, Path, layers, only_default_formats, submission};
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{AnyTechnique, Axes, Cost, Info, Properties};
 use crate::techniques::ANY_ORDER;
@@ -40,7 +41,7 @@ pub static INFO: Info = Info {
     geometry_passes: "1",
     bytes_per_pixel: "20 layers in f32, 10 in f16, 8 as rgba8 and an f32",
     build,
-    gpu: None,
+    gpu: Some(gpu),
 };
 
 fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
@@ -53,6 +54,20 @@ fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
         properties: MERGED,
     };
     Ok(list.stored(nodes))
+}
+
+/// Its form on a GPU: over lists in submission order, with f32 nodes.
+fn gpu(params: &Params, _view: &View) -> Result<Form> {
+    only_default_formats(params, INFO.targets)?;
+    let (sorted, backwards) = submission(params)?;
+    let layers = Some(layers(params)?);
+    Ok(Form {
+        shader: include_str!("../../shaders/mlab.wgsl"),
+        numbers: vec![backwards],
+        path: Path::Listed(Listing { resolve: "resolve", sorted, layers }),
+        shows_zero_fragments: false,
+        colored_transmittance: false,
+    })
 }
 
 /// Lists whose overflow merges adjacent layers lose nothing, only order: what commutes stays exact.

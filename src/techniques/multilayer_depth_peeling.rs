@@ -8,6 +8,7 @@ use crate::continuum::normalize::Unnormalized;
 use crate::continuum::opacity::Alpha;
 use crate::continuum::range::DepthRange;
 use crate::error::Result;
+use crate::gpu::form::{Form, Listing, Number, Path, Sorting, only, only_default_formats};
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{AnyTechnique, Axes, Cost, Info, Properties};
 use crate::techniques::ANY_ORDER;
@@ -46,7 +47,7 @@ pub static INFO: Info = Info {
     geometry_passes: "passes; bucket: 1, 1 more for range=\"pixel\"",
     bytes_per_pixel: "20 layers + 8 in f32, 10 layers + 8 in f16, 8 layers + 8 as rgba8 and an f32",
     build,
-    gpu: None,
+    gpu: Some(gpu),
 };
 
 fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
@@ -76,6 +77,20 @@ fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
         properties: Properties { consistent: true, ..PEELED },
     };
     Ok(nearest.stored(nodes))
+}
+
+/// Its form on a GPU: the beginning of each list.
+fn gpu(params: &Params, _view: &View) -> Result<Form> {
+    only_default_formats(params, INFO.targets)?;
+    only(params, "mode", "nearest")?;
+    let layers = params.size("layers").saturating_mul(params.size("passes"));
+    Ok(Form {
+        shader: include_str!("../../shaders/multilayer_depth_peeling.wgsl"),
+        numbers: vec![Number::Whole(u32::try_from(layers).unwrap_or(u32::MAX))],
+        path: Path::Listed(Listing { resolve: "resolve", sorted: Sorting::Depth, layers: None }),
+        shows_zero_fragments: false,
+        colored_transmittance: false,
+    })
 }
 
 /// What is kept is a function of the set of fragments.

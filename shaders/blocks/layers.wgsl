@@ -1,0 +1,62 @@
+// A pixel's list of at most LAYERS nodes, nearest first. LAYERS is a constant that the technique's form sets.
+
+struct Node {
+    // the bits of its depth, and its primitive; of the nearer one where two were merged
+    key: vec2u,
+    // premultiplied
+    color: vec3f,
+    // 1 - coverage
+    transmittance: f32,
+}
+
+// one more than are kept, since a newcomer is inserted before room is made
+var<private> nodes: array<Node, LAYERS + 1u>;
+var<private> node_count: u32;
+
+// Inserts a fragment where it belongs, behind its equals; there has to be room.
+fn insert_node(key: vec2u, fragment: vec4f) {
+    var place = node_count;
+    while place > 0u && comes_before_by_depth(key, nodes[place - 1u].key) {
+        nodes[place] = nodes[place - 1u];
+        place--;
+    }
+    nodes[place] = Node(key, fragment.rgb, 1.0 - fragment.a);
+    node_count++;
+}
+
+// One node over another.
+fn over(near: Node, far: Node) -> Node {
+    return Node(near.key, near.color + near.transmittance * far.color, near.transmittance * far.transmittance);
+}
+
+// The two furthest nodes become one.
+fn merge_furthest() {
+    node_count--;
+    nodes[node_count - 1u] = over(nodes[node_count - 1u], nodes[node_count]);
+}
+
+// Takes the nearest node out.
+fn take_nearest() -> Node {
+    let nearest = nodes[0];
+    node_count--;
+    for (var i = 0u; i < node_count; i++) {
+        nodes[i] = nodes[i + 1u];
+    }
+    return nearest;
+}
+
+// All nodes, and whatever is in front of them, as one.
+fn composite_nodes(in_front: Node) -> Node {
+    var all = in_front;
+    for (var i = 0u; i < node_count; i++) {
+        all = over(all, nodes[i]);
+    }
+    return all;
+}
+
+const CLEAR = Node(vec2u(0u), vec3f(0.0), 1.0);
+
+// The i-th fragment of a list in the order of submission, which may be the reverse of that of storage.
+fn place_in(list: vec2u, i: u32, backwards: u32) -> u32 {
+    return select(list.x + i, list.x + list.y - 1u - i, backwards != 0u);
+}
