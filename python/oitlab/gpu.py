@@ -57,7 +57,8 @@ def info() -> GpuInfo:
     """Describe the device: adapter, driver, features, limits, and which techniques they allow.
 
     Of several adapters the fastest is taken, or the one whose name contains the environment variable
-    `WGPU_ADAPTER_NAME` when the device is first needed.
+    `WGPU_ADAPTER_NAME` when the device is first needed. `OITLAB_GPU_BUFFER_BYTES` caps what is used of a
+    buffer at a time, should a device promise more than it has.
 
     Returns
     -------

@@ -43,7 +43,8 @@ def render(
     params : mapping, optional
         The technique's parameters; those left out take their defaults.
     backend : {"cpu", "gpu"}
-        "cpu" is the definition. A technique without a GPU form refuses "gpu".
+        "cpu" is the definition. A technique without a GPU form refuses "gpu", which takes scenes alone and
+        computes in single precision; times in `Frame.stats` are the device's, `total_ms` is that of the call.
     threads : int >= 1, optional
         All cores when absent. The image never depends on it.
     skip : bool
@@ -62,6 +63,8 @@ def render(
     ------
     ValueError
         Unknown technique, backend or dtype; a parameter that is unknown, of the wrong type or out of range.
+    RuntimeError
+        `backend="gpu"` without a device; the message says what would help.
 
     Examples
     --------

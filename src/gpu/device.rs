@@ -9,8 +9,11 @@ use wgpu::{
 };
 
 /// What is used where an adapter has it.
-const WANTED: Features =
-    Features::TIMESTAMP_QUERY.union(Features::FLOAT32_BLENDABLE).union(Features::TEXTURE_FORMAT_16BIT_NORM);
+const WANTED: Features = Features::TIMESTAMP_QUERY
+    .union(Features::FLOAT32_BLENDABLE)
+    .union(Features::TEXTURE_FORMAT_16BIT_NORM)
+    // what the adapter does with a format beyond what every adapter has to
+    .union(Features::TEXTURE_ADAPTER_SPECIFIC_FORMAT_FEATURES);
 
 /// What is of use to somebody without a driver.
 const HOW_TO_GET_A_DRIVER: &str = "a Vulkan (Linux, Windows), D3D12 or Metal driver is needed: that of the graphics card, \
@@ -65,6 +68,7 @@ impl Connection {
             required_limits: limits.clone(),
             ..Default::default()
         };
+        let limits = capped(limits)?;
         let (device, queue) = pollster::block_on(adapter.request_device(&descriptor))
             .map_err(|error| Error::Gpu(format!("{} gives no device: {error}", info.name)))?;
         let (lost, unexpected) = (Arc::default(), Arc::default());
@@ -134,6 +138,22 @@ impl Connection {
             }
         }
     }
+}
+
+/// Bytes of a buffer that are used at a time, at most: for devices that promise more than they have, and for tests.
+const BUFFER_BYTES: &str = "OITLAB_GPU_BUFFER_BYTES";
+
+/// The least cap that leaves room for anything.
+const LEAST_CAP: u64 = 16_384;
+
+fn capped(mut limits: Limits) -> Result<Limits> {
+    if let Ok(text) = std::env::var(BUFFER_BYTES) {
+        let cap = text.parse().ok().filter(|cap| *cap >= LEAST_CAP).ok_or_else(|| {
+            Error::Gpu(format!("{BUFFER_BYTES}={text:?} is not a number of bytes >= {LEAST_CAP}"))
+        })?;
+        limits.max_storage_buffer_binding_size = limits.max_storage_buffer_binding_size.min(cap);
+    }
+    Ok(limits)
 }
 
 async fn choose(instance: &Instance) -> Result<Adapter> {

@@ -236,7 +236,12 @@ impl Connection {
     pub fn target_format(&self, target: &BlendTarget) -> Result<TextureFormat> {
         let format = texture_format(target.format, target.channels);
         let fits = |format: &TextureFormat| {
-            let of = self.adapter.get_texture_format_features(*format);
+            let all = self.features.contains(Features::TEXTURE_ADAPTER_SPECIFIC_FORMAT_FEATURES);
+            let of = if all {
+                self.adapter.get_texture_format_features(*format)
+            } else {
+                format.guaranteed_format_features(self.features)
+            };
             self.features.contains(format.required_features())
                 && of
                     .allowed_usages
