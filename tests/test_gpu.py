@@ -4,105 +4,28 @@ import os
 import re
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 import pytest
 
 import oitlab
-
-try:
-    DEVICE: oitlab.gpu.GpuInfo | None = oitlab.gpu.info()
-    WHY_NOT = ""
-except RuntimeError as error:
-    DEVICE, WHY_NOT = None, str(error)
-
-if DEVICE is None and os.environ.get("OITLAB_REQUIRE_GPU"):
-    raise RuntimeError(WHY_NOT)  # where there has to be a driver, its absence is no reason to skip
+from gpu_scenes import (
+    CLIPPED,
+    CLIPPED_DEPTH,
+    DEVICE,
+    SCENES,
+    SHARE_OF_EQUAL_DEPTHS,
+    VARYING_COLOR,
+    WHY_NOT,
+    around,
+    scene_of,
+    tolerance,
+)
 
 pytestmark = pytest.mark.skipif(DEVICE is None, reason=WHY_NOT)
 
 IDS = [entry.id for entry in oitlab.techniques() if "gpu" in entry.backends]
-SIZE = {"width": 64, "height": 48}
-
-F32 = 2.0**-24
-# Sums and products of n fragments are rounded n times; sixteen more roundings are those of weights, the
-# resolve and its division. Errors are relative to the largest colour, which is the sums' scale.
-ROUNDINGS = 16
-# Depths agree to the bit but for one in thousands, which is one unit in its last place off: two f32 hold 40
-# digits of the depth function, of which 24 are kept.
-SHARE_OF_EQUAL_DEPTHS = 0.999
-# A pixel that the snapped outline of a clipped triangle covers may lie a hair outside the triangle, where CPU
-# and GPU keep within its rim each in its own way.
-CLIPPED_DEPTH = 1e-4
-# Weights of corners are linear functions in f32.
-VARYING_COLOR = 2e-5
-
-
-def mesh_of(corners: Any, rng: np.random.Generator, **material: Any) -> oitlab.Mesh:
-    """Make unconnected triangles of (n, 3, 3) corners, each with a colour of its own."""
-    corners = np.asarray(corners, np.float64)
-    colors = rng.random((len(corners), 4)) * (1, 1, 1, 0.9)
-    faces = np.arange(3 * len(corners)).reshape(-1, 3)
-    return oitlab.Mesh(corners.reshape(-1, 3), faces, face_colors=colors, **material)
-
-
-def smooth(corners: Any, rng: np.random.Generator, **material: Any) -> oitlab.Mesh:
-    """Make triangles whose colours vary from corner to corner."""
-    vertices = np.asarray(corners, np.float64).reshape(-1, 3)
-    colors = rng.random((len(vertices), 4))
-    return oitlab.Mesh(vertices, np.arange(len(vertices)).reshape(-1, 3), vertex_colors=colors, **material)
-
-
-def around(rng: np.random.Generator, count: int, spread: float, size: float) -> Any:
-    return rng.uniform(-spread, spread, (count, 1, 3)) + rng.uniform(-size, size, (count, 3, 3))
-
-
-PERSPECTIVE = oitlab.Camera(eye=(0, 0, 5), target=(0, 0, 0), up=(0, 1, 0), fov_y=50.0, near=0.5, far=12.0)
-ORTHOGRAPHIC = oitlab.Camera(
-    eye=(0, 0, 5), target=(0, 0, 0), up=(0, 1, 0), ortho_height=4.0, near=0.5, far=12.0
-)
-
-
-def scene_of(*meshes: oitlab.Mesh, camera: oitlab.Camera = PERSPECTIVE, **size: int) -> oitlab.Scene:
-    return oitlab.Scene(list(meshes), camera=camera, background=(0.2, 0.3, 0.1), **(SIZE | size))
-
-
-def scenes() -> Iterator[tuple[str, oitlab.Scene]]:
-    yield "squares", oitlab.scenes.squares(**SIZE)
-    yield "smoke", oitlab.scenes.smoke(**SIZE, count=120)
-    yield "soup", oitlab.scenes.soup(**SIZE, count=4000)
-    yield "blades", oitlab.scenes.blades(**SIZE, count=120)
-    yield "shells", oitlab.scenes.shells(**SIZE, subdivisions=3)
-    yield "torus_knot", oitlab.scenes.torus_knot(**SIZE, segments=80, sides=12)
-    rng = np.random.default_rng(7)
-    yield "random", scene_of(mesh_of(around(rng, 300, 2.0, 1.0), rng))
-    yield "orthographic", scene_of(mesh_of(around(rng, 300, 2.0, 1.0), rng), camera=ORTHOGRAPHIC)
-    # three corners all but on a line
-    slivers = around(rng, 400, 2.0, 1.5)
-    slivers[:, 2] = slivers[:, 0] * 0.4 + slivers[:, 1] * 0.6 + rng.uniform(-0.01, 0.01, (400, 3))
-    yield "slivers", scene_of(mesh_of(slivers, rng))
-    # through the near plane and behind the eye, and far beyond the guard band
-    yield "near plane", scene_of(mesh_of(around(rng, 120, 2.0, 8.0), rng))
-    huge = around(rng, 60, 2.0, 2.0)
-    huge[:, 1] *= (3e5, 2e4, 1)
-    yield "guard band", scene_of(mesh_of(huge, rng), camera=ORTHOGRAPHIC)
-    # within f32's digits, but beyond the viewport
-    wide = around(rng, 60, 2.0, 2.0)
-    wide[:, 1] *= (30, 20, 1)
-    yield "wide", scene_of(mesh_of(wide, rng))
-    yield "smooth", scene_of(smooth(around(rng, 80, 1.5, 1.5), rng))
-    yield "clipped and smooth", scene_of(smooth(around(rng, 80, 2.0, 8.0), rng))
-    masked = smooth(around(rng, 60, 1.5, 1.5), rng, alpha_mode="mask", alpha_cutoff=0.4)
-    yield "masked", scene_of(masked, smooth(around(rng, 60, 1.5, 1.5), rng, shading="lambert"))
-    solid = mesh_of(around(rng, 30, 1.0, 1.5), rng, alpha_mode="opaque", shading="lambert")
-    yield "opaque", scene_of(solid, masked, mesh_of(around(rng, 200, 2.0, 1.0), rng))
-    yield "empty", scene_of()
-
-
-SCENES = dict(scenes()) if DEVICE else {}
-CLIPPED = ("near plane", "guard band", "clipped and smooth")
 
 
 def test_the_device_is_described() -> None:
@@ -140,12 +63,6 @@ def test_coverage_and_primitives_are_those_of_the_cpu(name: str) -> None:
     np.testing.assert_allclose(got.alpha, expected.alpha, rtol=0, atol=VARYING_COLOR)
 
 
-def tolerance(scene: oitlab.Scene, expected: oitlab.Frame) -> float:
-    """Bound the rounding of f32 sums over the deepest pixel."""
-    scale = max(1.0, float(np.abs(expected.color).max()))
-    return (expected.stats.depth_complexity_max + ROUNDINGS) * 2 * F32 * scale
-
-
 @pytest.mark.parametrize("technique", IDS)
 @pytest.mark.parametrize("name", SCENES)
 def test_images_are_those_of_the_cpu_in_single_precision(name: str, technique: str) -> None:
@@ -167,165 +84,6 @@ def test_images_are_those_of_the_cpu_in_single_precision(name: str, technique: s
         assert getattr(got.stats, field) == getattr(expected.stats, field), field
     np.testing.assert_array_equal(got.fragment_count, expected.fragment_count)
     assert got.stats.backend == "gpu"
-
-
-# One unit in the last place of a half, relative.
-F16 = 2.0**-10
-
-Rounding = Callable[[Any], Any]
-
-
-def to_nearest(x: Any) -> Any:
-    return np.asarray(x, np.float32).astype(np.float16)
-
-
-def toward_zero(x: Any) -> Any:
-    single = np.asarray(x, np.float32)
-    half = single.astype(np.float16)
-    beyond = np.abs(half.astype(np.float32)) > np.abs(single)
-    return (half.view(np.uint16) - beyond.astype(np.uint16)).view(np.float16)
-
-
-@pytest.fixture(scope="module")
-def device_rounding() -> Rounding:
-    """Find out how blend units round to halves: Vulkan leaves it to them, llvmpipe truncates."""
-    quarter_from_above = 1 + 0.75 * F16
-    pane = oitlab.Mesh(
-        [(-9, -9, 0), (9, -9, 0), (0, 9, 0)], [(0, 1, 2)], color=(quarter_from_above, 0.0, 0.0, 1.0)
-    )
-    frame = oitlab.render(scene_of(pane, width=1, height=1), "weighted_sum", {"format": "f16"}, backend="gpu")
-    assert frame.color[0, 0, 0] in (1.0, 1.0 + F16)
-    return toward_zero if frame.color[0, 0, 0] == 1.0 else to_nearest
-
-
-def blended(fragments: oitlab.Fragments, begin: Any, step: Callable[[Any, Any, Any], Any]) -> Any:
-    """Blend each pixel's fragments: step(what is there, colours, alphas) of the k-th of all that have one."""
-    target = np.array(begin)
-    counts = np.diff(fragments.offsets)
-    for k in range(counts.max(initial=0)):
-        pixels = np.flatnonzero(counts > k)
-        index = fragments.offsets[pixels] + k
-        there = target[pixels].astype(np.float32)
-        target[pixels] = step(there, fragments.color[index], fragments.alpha[index, None])
-    return target.astype(np.float64)
-
-
-def emulated(technique: str, fragments: oitlab.Fragments, rounding: Rounding) -> Any:
-    """Compute an image in targets of halves that are rounded after each blend."""
-    pixels = fragments.width * fragments.height
-    background = np.broadcast_to(fragments.background, (fragments.height, fragments.width, 3)).reshape(-1, 3)
-    if technique == "alpha_compositing":
-        return blended(fragments, rounding(background), lambda t, c, a: rounding(c + (1 - a) * t))
-    sums = blended(
-        fragments, np.zeros((pixels, 4), np.float16), lambda t, c, a: rounding(t + np.concatenate([c, a], 1))
-    )
-    alpha = sums[:, 3:]
-    if technique == "weighted_sum":
-        return sums[:, :3] + (1 - alpha) * background
-    revealage = blended(fragments, np.ones((pixels, 1), np.float16), lambda t, c, a: rounding((1 - a) * t))
-    mean = np.divide(sums[:, :3], alpha, out=np.zeros((pixels, 3)), where=alpha > 0)
-    return (1 - revealage) * mean + revealage * background
-
-
-@pytest.mark.parametrize(
-    ("technique", "params"),
-    [
-        ("weighted_sum", {}),
-        ("blended_oit", {}),
-        ("wboit", {"weight": "one"}),
-        ("wboit", {"weight": "one", "layout": "listing4"}),
-        ("alpha_compositing", {}),
-    ],
-)
-@pytest.mark.parametrize("name", ["squares", "blades", "soup", "opaque"])
-def test_halves_are_rounded_once_per_blend(
-    name: str, technique: str, params: dict[str, Any], device_rounding: Rounding
-) -> None:
-    scene = SCENES[name]
-    got = oitlab.render(scene, technique, {"format": "f16"} | params, backend="gpu").color.reshape(-1, 3)
-    expected = emulated(technique, oitlab.gpu.capture(scene), device_rounding)
-    off = np.abs(got - expected) / (np.maximum(np.abs(expected), 2.0**-3) * F16)
-    # a fused product and sum, or one that is not, may fall on the other side of a half
-    assert (off <= 1).mean() >= 0.999
-    assert (off <= 0.01).mean() >= 0.98
-
-
-FORMATS: list[tuple[str, dict[str, Any]]] = [
-    ("weighted_sum", {"format": "f16"}),
-    ("weighted_average", {"format": "f16"}),
-    ("blended_oit", {"format": "f16"}),
-    *(("wboit", {"format": "f16", "layout": layout}) for layout in ("listing3", "listing4", "monochrome")),
-    ("phenomenological", {"format": "f16", "transmission": (0.5, 0.1, 0.9)}),
-    ("alpha_compositing", {"format": "f16"}),
-    ("painter", {"format": "f16"}),
-]
-
-
-@pytest.mark.parametrize(("technique", "params"), FORMATS)
-@pytest.mark.parametrize("name", ["squares", "blades", "soup", "opaque"])
-def test_halves_are_near_the_emulation(
-    name: str, technique: str, params: dict[str, Any], device_rounding: Rounding
-) -> None:
-    """The emulation rounds each blend to nearest; one that truncates loses up to a unit more."""
-    scene = SCENES[name]
-    got = oitlab.render(scene, technique, params, backend="gpu")
-    expected = oitlab.render(scene, technique, params)
-    off = np.abs(got.color - expected.color)
-    layers = np.maximum(expected.fragment_count[..., None], 1.0)
-    # each sum is as large as its layers, and so is its unit; weights of 0.01 and shares of background leave some
-    # of the digits that halves have
-    assert (off <= 4 * layers**2 * F16).all(), (off / layers**2 / F16).max()
-    if device_rounding is to_nearest:
-        size = np.maximum(np.abs(expected.color), 2.0**-3)  # a sum of larger terms may have cancelled to less
-        assert (off <= size * F16).mean() >= 0.99
-
-
-@pytest.mark.parametrize(
-    ("technique", "params", "limit"),
-    [
-        # blend units work in eight bits: a step per layer
-        ("alpha_compositing", {"format": "unorm8"}, 1 / 255),
-        ("alpha_compositing", {"color_format": "srgb8"}, 3 / 255),
-        ("wboit", {"format": "f16", "revealage_format": "unorm8"}, 1 / 255),
-        ("blended_oit", {"revealage_format": "unorm16"}, 2 / 65535),
-        ("phenomenological", {"format": "f16", "modulation_format": "unorm8"}, 1 / 255),
-        ("weighted_sum", {"accumulation_format": "unorm8"}, 1 / 255),
-    ],
-)
-def test_targets_of_equal_steps_are_near_the_emulation(
-    technique: str, params: dict[str, Any], limit: float
-) -> None:
-    scene = SCENES["squares"]
-    got = oitlab.render(scene, technique, params, backend="gpu")
-    expected = oitlab.render(scene, technique, params)
-    layers = expected.stats.depth_complexity_max
-    assert np.abs(got.color - expected.color).max() <= limit * layers
-    assert np.abs(got.color - expected.color).mean() <= limit
-
-
-WEIGHTS = [
-    choice.strip('"')
-    for choice in next(param for param in oitlab.techniques()["wboit"].params if param.name == "weight")
-    .range.removeprefix("one of ")
-    .split(", ")
-]
-
-
-@pytest.mark.parametrize("layout", ["listing3", "listing4", "monochrome"])
-@pytest.mark.parametrize("weight", WEIGHTS)
-def test_every_weight_is_that_of_the_cpu(weight: str, layout: str) -> None:
-    scene = SCENES["blades"]
-    wanted = [
-        ("wboit", {"weight": weight, "layout": layout} | more)
-        for more in ({}, {"weight_scale": 3.0, "weight_shift": -4.0}, {"listing3_clamp": True})
-    ]
-    if weight in ("inv_pow", "exp", "fig10"):
-        wanted.append(("wboit", {"weight": weight, "layout": layout, "weight_k": 2.5}))
-    for got, expected in zip(
-        oitlab.render_many(scene, wanted, backend="gpu"), oitlab.render_many(scene, wanted), strict=True
-    ):
-        # exp and pow of shaders have some ten roundings more, and weights of the floor's size few digits
-        assert np.abs(got.color - expected.color).max() <= 8 * tolerance(scene, expected), got.params
 
 
 @pytest.mark.parametrize("order", ["as_is", "reversed", "shuffled", "centroid"])

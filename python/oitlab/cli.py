@@ -247,7 +247,8 @@ def _render(options: argparse.Namespace) -> None:
     targets = _targets(options)
     params = dict(map(parse_param, options.param))
     scene = _scene(options)
-    wanted, references = [(options.technique, params)], [(options.reference, {})] if options.reference else []
+    wanted = [(options.technique, params)]
+    references: list[tuple[str, dict[str, Any]]] = [(options.reference, {})] if options.reference else []
     if options.backend == "cpu":
         frame, *exact = render_many(scene, wanted + references, threads=options.threads)
     else:

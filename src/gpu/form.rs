@@ -232,7 +232,7 @@ pub fn target_format(
     }
     let names: Vec<_> = accepted.iter().map(|format| format!("{:?}", format.name())).collect();
     let problem = format!("{param}={:?} has no form on the backend \"gpu\"", format.name());
-    Err(params.error(problem, &format!("there it is one of {}", names.join(", "))))
+    Err(params.error(problem, format!("there it is one of {}", names.join(", "))))
 }
 
 /// Refuses what no form does.
@@ -245,7 +245,7 @@ pub fn only(params: &Params, name: &str, only: &str) -> Result<()> {
         return Ok(());
     }
     let problem = format!("{name}={given:?} has no form on the backend \"gpu\"");
-    Err(params.error(problem, &format!("there {name} is {only:?}")))
+    Err(params.error(problem, format!("there {name} is {only:?}")))
 }
 
 /// Refuses nodes that are not in f32.

@@ -263,7 +263,7 @@ impl Connection {
     pub fn target_formats(&self, blending: &Blending) -> Result<Vec<TextureFormat>> {
         let formats =
             blending.targets.iter().map(|target| self.target_format(target)).collect::<Result<Vec<_>>>()?;
-        let bytes: u32 = formats.iter().filter_map(|format| format.target_pixel_byte_cost()).sum();
+        let bytes: u32 = formats.iter().filter_map(TextureFormat::target_pixel_byte_cost).sum();
         let most = self.limits.max_color_attachment_bytes_per_sample;
         if bytes > most || formats.len() > TARGETS as usize {
             let problem = format!("targets of {bytes} bytes per pixel; {} takes {most}", self.info.name);

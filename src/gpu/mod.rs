@@ -15,6 +15,8 @@ mod info;
 #[cfg(feature = "gpu")]
 mod layouts;
 #[cfg(feature = "gpu")]
+mod lists;
+#[cfg(feature = "gpu")]
 mod picture;
 #[cfg(feature = "gpu")]
 mod recorder;
@@ -22,9 +24,9 @@ mod recorder;
 mod shared;
 
 #[cfg(feature = "gpu")]
-pub(crate) use draw::Captured;
-#[cfg(feature = "gpu")]
 pub use info::{Info, info};
+#[cfg(feature = "gpu")]
+pub(crate) use lists::Captured;
 #[cfg(feature = "gpu")]
 pub(crate) use picture::{Opaque, View};
 #[cfg(feature = "gpu")]

@@ -162,7 +162,7 @@ impl Picture {
         primitives: impl Iterator<Item = Drawn<'a>>,
     ) {
         let limits = &connection.limits;
-        let most = u64::from(limits.max_storage_buffer_binding_size).min(limits.max_buffer_size);
+        let most = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
         let image = Rect { x0: 0, y0: 0, x1: self.width as i32, y1: self.height as i32 };
         let mut packed = Packed::default();
         for primitive in primitives {
@@ -225,7 +225,7 @@ fn check_size(connection: &Connection, width: u32, height: u32) -> Result<()> {
         }
     }
     let pixels = u64::from(width) * u64::from(height);
-    let most = u64::from(limits.max_storage_buffer_binding_size).min(limits.max_buffer_size) / 4;
+    let most = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size) / 4;
     if pixels > most {
         let problem =
             format!("an image of {pixels} pixels; {} counts fragments of {most}", connection.info.name);

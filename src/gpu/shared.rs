@@ -1,9 +1,10 @@
 //! What outlives a call: the device, its pipelines, and the scenes that were drawn last.
 
 use super::device::Connection;
-use super::draw::{Captured, Gpu, Image};
+use super::draw::{Gpu, Image};
 use super::form::Form;
 use super::layouts::Layouts;
+use super::lists::Captured;
 use super::picture::{Picture, View};
 use crate::error::Result;
 use crate::order::SubmissionOrder;

@@ -63,13 +63,12 @@ pub fn render_on_gpu(
                 };
                 let known = if options.skip { answers.iter().position(same) } else { None };
                 let params = bound.variant.params.clone();
-                let place = match known {
-                    Some(place) => place,
-                    None => {
-                        let answer = job.answer(&bound)?;
-                        answers.push((bound, answer));
-                        answers.len() - 1
-                    }
+                let place = if let Some(place) = known {
+                    place
+                } else {
+                    let answer = job.answer(&bound)?;
+                    answers.push((bound, answer));
+                    answers.len() - 1
                 };
                 let (bound, answer) = &answers[place];
                 frames.push(answer.frame(scene, &bound.variant, params, known.is_some(), threads));
@@ -101,12 +100,11 @@ pub fn capture_on_gpu(
             let Some(captured) = job.shared.capture(key, stop)? else { unreachable!("it was loaded") };
             Ok((captured, range))
         })?;
-        let [r, g, b] = scene.background();
-        let background = match has_opaque(scene) {
-            true => Background::Image(
-                opaque_surfaces(scene, stop).color.into_iter().map(|[r, g, b, _]| [r, g, b]).collect(),
-            ),
-            false => Background::Constant([r, g, b]),
+        let background = if has_opaque(scene) {
+            let colors = opaque_surfaces(scene, stop).color;
+            Background::Image(colors.into_iter().map(|[r, g, b, _]| [r, g, b]).collect())
+        } else {
+            Background::Constant(scene.background())
         };
         let centroids = raster::centroid_depths(scene, stop);
         if stop() {
