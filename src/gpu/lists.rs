@@ -46,22 +46,10 @@ impl Gpu {
     pub fn count(&mut self, picture: &mut Picture, stop: Stop<'_>) -> Result<()> {
         let (lists, all) = (self.lists(picture, 0), 0..picture.height);
         let frame = self.frame(picture, &all, &[]);
-        let mut recorder = Recorder::new(&self.connection, stop);
-        recorder.clear(&picture.counts);
-        draw_into_lists(
-            &self.connection,
-            &mut self.layouts,
-            &mut recorder,
-            picture,
-            "count_fragment",
-            &frame,
-            &lists.group,
-            &all,
-        )?;
-        sum_rows(&self.connection, &mut self.layouts, &mut recorder, picture, &frame, &lists.group)?;
-        let (rows, times): (Vec<[u32; 2]>, _) =
-            recorder.finish(&lists.row_sums, 8 * u64::from(picture.height))?;
-        (picture.rows, picture.count_ms) = (rows, times.raster);
+        let Self { connection, layouts } = self;
+        let mut recorder = Recorder::new(connection, stop);
+        count_fragments(connection, layouts, &mut recorder, picture, [&frame, &lists.group])?;
+        picture.rows = recorder.finish(&lists.row_sums, 8 * u64::from(picture.height))?.0;
         Ok(())
     }
 
@@ -90,7 +78,7 @@ impl Gpu {
         let lists = self.lists_for(picture, &bands);
         let params: Vec<_> = form.numbers.iter().map(|number| number.bits()).collect();
         let module = form.module();
-        let mut image = Image { texels: Vec::new(), times: Times { raster: picture.count_ms, resolve: 0.0 } };
+        let mut image = Image { texels: Vec::new(), times: Times::default() };
         for band in &bands {
             let frame = self.frame(picture, band, &params);
             let Self { connection, layouts } = self;
@@ -215,26 +203,30 @@ fn fill_lists(
     sorting: Sorting,
 ) -> Result<()> {
     if band.start == 0 {
-        sum_rows(connection, layouts, recorder, picture, frame, lists)?;
+        // once more than their number is asked for, so that the time is that of a frame
+        count_fragments(connection, layouts, recorder, picture, [frame, lists])?;
     }
     let module = list_module();
     let entry = |point| Entry { module: &module, point };
     let shift = layouts.compute(&connection.device, entry("shift_rows"), true, false, &[]);
     dispatch(recorder, Stage::Raster, &shift, &[frame, lists], picture, band)?;
-    draw_into_lists(connection, layouts, recorder, picture, "store_fragment", frame, lists, band)?;
+    draw_into_lists(connection, layouts, recorder, picture, "store_fragment", [frame, lists], band)?;
     let by_submission = [("by_submission", f64::from(u8::from(sorting == Sorting::Submission)))];
     let sort = layouts.compute(&connection.device, entry("sort_lists"), true, false, &by_submission);
     dispatch(recorder, Stage::Resolve, &sort, &[frame, lists], picture, band)
 }
 
-fn sum_rows(
+/// How many fragments each pixel and each row has, and where in its row each pixel's go.
+fn count_fragments(
     connection: &Connection,
     layouts: &mut Layouts,
     recorder: &mut Recorder<'_>,
     picture: &Picture,
-    frame: &BindGroup,
-    lists: &BindGroup,
+    [frame, lists]: [&BindGroup; 2],
 ) -> Result<()> {
+    recorder.clear(&picture.counts);
+    let all = 0..picture.height;
+    draw_into_lists(connection, layouts, recorder, picture, "count_fragment", [frame, lists], &all)?;
     let entry = Entry { module: &list_module(), point: "sum_rows" };
     let pipeline = layouts.compute(&connection.device, entry, true, false, &[]);
     recorder.compute(Stage::Raster, |pass| {
@@ -246,15 +238,13 @@ fn sum_rows(
 }
 
 /// Fragments into lists. A pass wants a target, which nothing is drawn into.
-#[expect(clippy::too_many_arguments, reason = "a pass and all that it reads")]
 fn draw_into_lists(
     connection: &Connection,
     layouts: &mut Layouts,
     recorder: &mut Recorder<'_>,
     picture: &Picture,
     point: &str,
-    frame: &BindGroup,
-    lists: &BindGroup,
+    [frame, lists]: [&BindGroup; 2],
     rows: &Range<u32>,
 ) -> Result<()> {
     let format = TextureFormat::R8Unorm;

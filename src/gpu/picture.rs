@@ -47,8 +47,6 @@ pub struct Picture {
     pub counts: Buffer,
     /// Fragments of each row, and of its deepest pixel; empty until they have been counted.
     pub rows: Vec<[u32; 2]>,
-    /// How long counting took.
-    pub count_ms: f64,
     /// Bytes on the device.
     pub bytes: u64,
 }
@@ -146,7 +144,6 @@ impl Picture {
             batches: Vec::new(),
             counts: buffer(connection, "counts", 4 * pixels, BufferUsages::STORAGE | BufferUsages::COPY_SRC),
             rows: Vec::new(),
-            count_ms: 0.0,
             bytes: 4 * pixels + if view.opaque.is_some() { 20 * pixels } else { 0 },
         };
         picture.add_primitives(connection, layouts, primitives);
