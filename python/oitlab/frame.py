@@ -24,8 +24,10 @@ class Stats:
 
     Times are wall-clock milliseconds; `raster_ms` covers the one rasterisation that all frames of a
     `render_many` call share. With `backend="gpu"`, `raster_ms` and `resolve_ms` are the device's own times of
-    this frame's passes; set-up, compiling and readback are in `total_ms` of a single frame alone. Some drivers
-    compile while they draw, so that a second frame tells more. `geometry_passes` and `bytes_per_pixel` describe a streaming GPU implementation
+    this frame's passes; set-up, compiling and readback are in `total_ms` of a single frame alone. Some
+    drivers compile while they draw, so that a second frame tells more.
+
+    `geometry_passes` and `bytes_per_pixel` describe a streaming GPU implementation
     of the technique, not this renderer.
     """
 
