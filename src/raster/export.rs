@@ -220,7 +220,7 @@ mod tests {
     fn scene(projection: Projection) -> Scene {
         let random = |i: u32| f64::from(crate::random::hash32(i, 1, 2, 3, 4)) / f64::from(u32::MAX);
         let point = |i: u32| {
-            let reach = if i % 11 == 0 { 3e4 } else { 3.0 };
+            let reach = if i.is_multiple_of(11) { 3e4 } else { 3.0 };
             [
                 reach * (2.0 * random(3 * i) - 1.0),
                 2.0 - 4.0 * random(3 * i + 1),
