@@ -134,7 +134,7 @@ impl Storing {
             let [r, g, b] = fragment.color.map(f64::from);
             let mut texel = [r, g, b, f64::from(fragment.alpha)];
             color.round_texel(&mut texel);
-            let [r, g, b, alpha] = texel.map(|x| color.read(x) as f32);
+            let [r, g, b, alpha] = color.read_texel(texel).map(|x| x as f32);
             (fragment.color, fragment.alpha) = ([r, g, b], alpha);
             fragment.depth = depth.read(depth.round(fragment.depth.into())) as f32;
             nodes.push(fragment);
