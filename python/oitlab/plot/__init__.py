@@ -7,10 +7,21 @@ and a notebook shows it when it is a cell's last value. `oitlab` imports this mo
 first used.
 """
 
+from ._axes_table import axes_table
 from ._convergence import convergence
 from ._heat import depth_complexity, error_map
 from ._pareto import pareto
+from ._strip import strip
 from ._transmittance import transmittance
 from ._weights import weight_curves
 
-__all__ = ["convergence", "depth_complexity", "error_map", "pareto", "transmittance", "weight_curves"]
+__all__ = [
+    "axes_table",
+    "convergence",
+    "depth_complexity",
+    "error_map",
+    "pareto",
+    "strip",
+    "transmittance",
+    "weight_curves",
+]

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from .._image import as_image, reduced
 from ..frame import Frame
+from ..registry import techniques
 from ._style import FONT_SIZE, PRINT_DPI, Plot, box_edges
 from ._variants import name_of
 
@@ -37,24 +38,31 @@ def _is_image(value: Any) -> bool:
 
 
 def _names(images: list[Any]) -> list[str]:
-    """Name frames by technique; where two share it, by the params that differ among them; arrays by number."""
-    techniques = [image.technique if isinstance(image, Frame) else "" for image in images]
+    """Name frames by technique and params that are not its defaults or differ; arrays by number."""
+    ids = [image.technique if isinstance(image, Frame) else "" for image in images]
     names = []
-    for index, (image, technique) in enumerate(zip(images, techniques, strict=True)):
+    for index, (image, technique) in enumerate(zip(images, ids, strict=True)):
         if not isinstance(image, Frame):
             names.append(f"image {index}")
             continue
-        others = [o for o, t in zip(images, techniques, strict=True) if t == technique and o is not image]
+        others = [o for o, t in zip(images, ids, strict=True) if t == technique and o is not image]
+        usual = _defaults(technique)
         differing = {
             key: value
             for key, value in image.params.items()
-            if any(o.params.get(key) != value for o in others)
+            if any(o.params.get(key) != value for o in others) or usual.get(key, value) != value
         }
         names.append(name_of(technique, differing))
     return [
         f"{name} ({names[:i].count(name) + 1})" if names.count(name) > 1 else name
         for i, name in enumerate(names)
     ]
+
+
+def _defaults(technique: str) -> dict[str, Any]:
+    """Params with a default of their own; None stands for one that follows from the others."""
+    entry = techniques().get(technique)
+    return {} if entry is None else {p.name: p.default for p in entry.params if p.default is not None}
 
 
 def reduced_to(image: NDArray[Any], dots: int, statistic: Any) -> NDArray[np.float64]:
