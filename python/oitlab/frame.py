@@ -80,8 +80,8 @@ _FIELDS = (
 class Frame:
     """An image by one technique. Arrays belong to the frame and are writable; row 0 is on top.
 
-    A notebook shows a frame as a picture: 8-bit sRGB, clipped to [0, 1], as `write_png` writes it. One of more
-    than 2048 pixels either way is reduced by a whole factor; pixels that are not finite are magenta.
+    A notebook shows a frame as a picture: 8-bit sRGB, clipped to [0, 1], as `write_png` writes it. One of
+    more than 2048 pixels either way is reduced by a whole factor; pixels that are not finite are magenta.
 
     The fields themselves cannot be set; `replace` makes a changed copy. Frames compare by identity and can be
     pickled. What is given as a function is made when it is first asked for and then kept, so that a rendered

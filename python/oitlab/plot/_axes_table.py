@@ -78,7 +78,7 @@ def _chosen(techniques: str | Sequence[str] | None) -> TechniqueTable:
 
 
 def _widths(table: TextTable, room: float) -> list[float]:
-    """Share the room: every column gets its longest piece, and of what is left in proportion to what it lacks."""
+    """Share the room: a column gets its longest piece, and of the rest in proportion to what it lacks."""
     least, most = [], []
     for head, *cells in zip(table.columns, *table.rows, strict=True):
         pieces = [width_of(piece, FONT_SIZE) for cell in cells for piece in _pieces(cell)]

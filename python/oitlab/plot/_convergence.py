@@ -70,7 +70,8 @@ def convergence(
 
     Each line is one value of `hue`. Where several rows share a point (several seeds) the line goes through
     their medians and their spread is drawn around it; the legend says so. Rows that lack the param, because
-    their technique has none, are drawn as a horizontal line. A param that holds text gets one place per value.
+    their technique has none, are drawn as a horizontal line. A param that holds text gets one place per
+    value.
 
     Zeros on a logarithmic axis and infinities are hollow triangles on the axis's edge; what is NaN is counted
     below the axes.
@@ -94,8 +95,8 @@ def convergence(
     logx, logy : bool
         Logarithmic axes. `logx` left out: where all numbers are > 0 and the largest is 8 times the smallest.
     floor : float, optional
-        On a logarithmic y axis: numbers from here on down count as 0. Left out: 1e-14 for `mse`, 1e-7 for `rmse` and
-        `max_error`, which is float32's rounding; 0 for other columns.
+        On a logarithmic y axis: numbers from here on down count as 0. Left out: 1e-14 for `mse`, 1e-7 for
+        `rmse` and `max_error`, which is float32's rounding; 0 for other columns.
     xlabel, ylabel : str, optional
         Names of the axes; left out, those of the columns with their units.
     width : {"single", "double"} or float
@@ -110,8 +111,8 @@ def convergence(
     Raises
     ------
     ValueError
-        A column that is not there or does not hold numbers, no rows, numbers below 0 for a logarithmic axis, rows
-        of one point that differ in a scene or param that is not in `over`, more than 70 lines.
+        A column that is not there or does not hold numbers, no rows, numbers below 0 for a logarithmic
+        axis, rows of one point that differ in a scene or param that is not in `over`, more than 70 lines.
 
     Examples
     --------
@@ -163,7 +164,7 @@ def convergence(
 
 
 def _places(table: pd.DataFrame, x: str) -> tuple[NDArray[np.float64], list[str] | None]:
-    """Where rows are along the axis, NaN where the param is missing; and the texts at 0, 1, 2... if it holds texts."""
+    """Give rows' places along the axis, NaN where the param is missing; and texts at 0, 1, 2..., if any."""
     if not is_text(table, x):
         places = numbers(table, x)
         if not np.isfinite(places).any():

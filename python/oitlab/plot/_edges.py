@@ -1,4 +1,4 @@
-"""Numbers without a place on an axis: zeros on a logarithmic one, infinities on any. They are shown at its edge."""
+"""Numbers without a place on an axis, zeros on a logarithmic one and infinities, are shown at its edge."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ def meanings_note(meanings: list[str], missing: int) -> list[str]:
 
 
 def small_print(axes: Axes, lines: list[str]) -> Any:
-    """Write notes in small print below the axis's name, left-aligned with the axes; None where there are none."""
+    """Write notes in small print below the axis's name; None where there are none."""
     if not lines:
         return None
     return axes.annotate(

@@ -50,8 +50,8 @@ def depth_complexity(
 ) -> Figure:
     """Draw how many transparent fragments each pixel has.
 
-    Pixels without any are white. Up to 12 fragments each number has its own colour. Images with more pixels than the figure has dots in
-    print are reduced by a whole factor, of which the largest number is shown.
+    Pixels without any are white. Up to 12 fragments each number has its own colour. Images with more pixels
+    than the figure has dots in print are reduced by a whole factor, of which the largest number is shown.
 
     Parameters
     ----------
@@ -60,8 +60,8 @@ def depth_complexity(
     log : bool
         Logarithmic colours.
     limit : int >= 1, optional
-        Number of fragments with the last colour; more look the same, and the colour bar says so. Left out: the
-        largest there is.
+        Number of fragments with the last colour; more look the same, and the colour bar says so. Left out:
+        the largest there is.
     width : {"single", "double"} or float
         Of the figure in print: a column (3.3 inches), a page (7), or inches.
     ax : matplotlib.axes.Axes, optional
@@ -107,7 +107,8 @@ def depth_complexity(
         bar.set_label("fragments per pixel (number)")
         _count_ticks(bar, top, norm)
         mean = float(counts.mean())
-        said = f"mean {number(mean)}, largest {largest:,}; white: {count_text(int((counts == 0).sum()), 'pixel')} without"
+        empty = count_text(int((counts == 0).sum()), "pixel")
+        said = f"mean {number(mean)}, largest {largest:,}; white: {empty} without"
         panels.caption(axes, said)
     return figure
 
@@ -126,10 +127,11 @@ def error_map(
 ) -> Figure:
     """Draw where images differ from the exact one, all on one stated scale.
 
-    The scale is the same for every figure unless you change it: 1e-8 to 1 for "squared", 1e-4 to 1 for "absolute", both
-    logarithmic, 0 to 10 for the ΔE, 0 to 1 for "flip". The colour bar's ends are pointed where errors lie outside. Under each map stand its
-    mean and its largest error. Images with more pixels than the map has dots in print are reduced by a whole
-    factor, of which the largest error is shown, so that no isolated one vanishes.
+    The scale is the same for every figure unless you change it: 1e-8 to 1 for "squared", 1e-4 to 1 for
+    "absolute", both logarithmic, 0 to 10 for the ΔE, 0 to 1 for "flip". The colour bar's ends are pointed
+    where errors lie outside. Under each map stand its mean and its largest error. Images with more pixels
+    than the map has dots in print are reduced by a whole factor, of which the largest error is shown, so
+    that no isolated one vanishes.
 
     Parameters
     ----------

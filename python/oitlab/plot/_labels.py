@@ -1,7 +1,7 @@
 """Names beside points: none covers another, a point or the edge, and the same input gives the same places.
 
-adjustText pushes texts apart by forces and stops after a while, overlapping or not; textalloc draws what did not fit
-anywhere. What is wanted here is a guarantee, and a list of what had no room.
+adjustText pushes texts apart by forces and stops after a while, overlapping or not; textalloc draws what
+did not fit anywhere. What is wanted here is a guarantee, and a list of what had no room.
 """
 
 from __future__ import annotations
@@ -56,8 +56,8 @@ def place_labels(
     texts : str
         One per spot.
     obstacles : two (N, 4) float arrays
-        Boxes in pixels that no text may cover: left, bottom, right, top. The lines from points to their texts may cross
-        the second ones.
+        Boxes in pixels that no text may cover: left, bottom, right, top. The lines from points to their
+        texts may cross the second ones.
     colors : str
         One per spot.
     """

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
@@ -80,11 +81,12 @@ def pareto(
 ) -> Figure:
     """Draw each variant's error against its price, and the front of those that none beats.
 
-    A variant is beaten by one that is better in one and no worse in the other. Less is better on both axes, except for `psnr` and `factor`. Rows of one variant (several seeds) are one
-    point, their median, with a line from the smallest to the largest error, or whatever `spread` asks for.
-    Names never cover each other, a point or the front; those that have no room are listed below the axes. Zeros
-    on a logarithmic axis, such as the error of an exact technique, and infinities are hollow triangles on the
-    axis's edge; what is NaN is counted below the axes.
+    A variant is beaten by one that is better in one and no worse in the other. Less is better on both axes,
+    except for `psnr` and `factor`. Rows of one variant (several seeds) are one point, their median, with a
+    line from the smallest to the largest error, or whatever `spread` asks for. Names never cover each
+    other, a point or the front; those that have no room are listed below the axes. Zeros on a logarithmic
+    axis, such as the error of an exact technique, and infinities are hollow triangles on the axis's edge;
+    what is NaN is counted below the axes.
 
     Parameters
     ----------
@@ -97,7 +99,8 @@ def pareto(
     name : str or several, optional
         Columns that name a variant; left out, the technique and those params that differ within one.
     hue : str, several, or None
-        Columns whose values get a colour, a marker and a line in the legend each. None: blue on the front, grey off it.
+        Columns whose values get a colour, a marker and a line in the legend each. None: blue on the front,
+        grey off it.
     over : str or several
         Columns that may differ within a variant.
     spread : {"range", "quartiles"} or (low, high)
@@ -122,8 +125,8 @@ def pareto(
     Raises
     ------
     ValueError
-        A column that is not there or does not hold numbers, no rows, numbers below 0 for a logarithmic axis, rows
-        of one variant that differ in a scene or param that is not in `over`.
+        A column that is not there or does not hold numbers, no rows, numbers below 0 for a logarithmic
+        axis, rows of one variant that differ in a scene or param that is not in `over`.
 
     Examples
     --------
@@ -195,7 +198,7 @@ def _variants(
 
 
 def _front(variants: list[_Variant], higher: tuple[bool, bool]) -> list[int]:
-    """Indices of those that none beats, cheapest first."""
+    """Find those that none beats, cheapest first."""
     signs = [-1.0 if up else 1.0 for up in higher]
     points = [(signs[0] * v.x, signs[1] * v.y) for v in variants]
     order = sorted((p, i) for i, p in enumerate(points) if not np.isnan(p).any())
@@ -313,7 +316,7 @@ def _name_points(
 def _steps(front: NDArray[np.float64], half: float) -> NDArray[np.float64]:
     """Boxes around the front's line, which no name may cover."""
     boxes = []
-    for (x, y), (next_x, next_y) in zip(front[:-1], front[1:], strict=True):
+    for (x, y), (next_x, next_y) in pairwise(front):
         low, high = sorted((y, next_y))
         boxes += [(x, y - half, next_x, y + half), (next_x - half, low, next_x + half, high)]
     return np.array(boxes).reshape(-1, 4)

@@ -29,8 +29,17 @@ _FRAMES = (ORANGE, SKY, GREEN, RED, PINK, BLUE)
 _GAP = 0.05
 _LINE = 1.35 * FONT_SIZE / 72.0
 _EDGE = 1.6
-_NAMES = {"mse": "MSE", "rmse": "RMSE", "psnr": "PSNR", "max_error": "largest error", "mse_255": "MSE (0 to 255)",
-          "bad_pixels": "bad pixels", "delta_e_2000": "CIEDE2000", "delta_e_itp": "ΔE ITP", "flip": "FLIP"}  # fmt: skip
+_NAMES = {
+    "mse": "MSE",
+    "rmse": "RMSE",
+    "psnr": "PSNR",
+    "max_error": "largest error",
+    "mse_255": "MSE (0 to 255)",
+    "bad_pixels": "bad pixels",
+    "delta_e_2000": "CIEDE2000",
+    "delta_e_itp": "ΔE ITP",
+    "flip": "FLIP",
+}
 _UNITS = {"psnr": " dB"}
 
 
@@ -79,10 +88,11 @@ def strip(
 ) -> Figure:
     """Draw images side by side, the same rectangles of each enlarged below it, and its errors below those.
 
-    Every inset shows exactly the pixels of its rectangle, each as a square of one colour; its edge has the colour
-    of the rectangle in the image. Light is multiplied by 2 ** exposure, clipped to [0, 1] and encoded as sRGB, as by `oitlab.write_png`; the
-    last line says so, and how many pixels were clipped. Whole images with more than twice as many pixels as the page has dots are
-    reduced by a whole factor, by the mean of linear light.
+    Every inset shows exactly the pixels of its rectangle, each as a square of one colour; its edge has the
+    colour of the rectangle in the image. Light is multiplied by 2 ** exposure, clipped to [0, 1] and
+    encoded as sRGB, as by `oitlab.write_png`; the last line says so, and how many pixels were clipped.
+    Whole images with more than twice as many pixels as the page has dots are reduced by a whole factor, by
+    the mean of linear light.
 
     Parameters
     ----------
@@ -114,8 +124,8 @@ def strip(
     Raises
     ------
     ValueError
-        No frames, frames of different sizes, an inset that is empty or leaves the image, labels that are too many or too
-        few, a metric that `oitlab.compare` refuses.
+        No frames, frames of different sizes, an inset that is empty or leaves the image, labels that are
+        too many or too few, a metric that `oitlab.compare` refuses.
 
     Examples
     --------
@@ -250,7 +260,8 @@ def _drawn(
 def _caption(images: dict[str, NDArray[Any]], exposure: float) -> str:
     clipped = max(float((image.max(axis=2) > 2.0**-exposure).mean()) for image in images.values())
     share = f"at most {100 * clipped:.2g} % of an image's pixels" if clipped else "no pixel exceeds 1"
-    return f"sRGB, exposure {scalar(exposure, 'exposure'):+g} stops, clipped to [0, 1] ({share}); no tone mapping."
+    stops = scalar(exposure, "exposure")
+    return f"sRGB, exposure {stops:+g} stops, clipped to [0, 1] ({share}); no tone mapping."
 
 
 def _show(axes: Axes, image: NDArray[Any], exposure: float, shape: tuple[int, ...]) -> None:

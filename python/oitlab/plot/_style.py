@@ -9,7 +9,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any, Literal, TypeAlias, cast
 
-
 import numpy as np
 from matplotlib import style as mpl_style
 from matplotlib.axes import Axes
@@ -66,16 +65,16 @@ def style() -> Iterator[None]:
 
 
 class Plot(Figure):
-    """A figure that belongs to nobody but you: no window, no global list, and it shows itself in notebooks.
+    r"""A figure that belongs to nobody but you: no window, no global list, and it shows itself in notebooks.
 
-    It is a `matplotlib.figure.Figure` in all respects; `savefig` takes 300 dpi unless told otherwise and embeds
-    TrueType fonts in PDF.
+    It is a `matplotlib.figure.Figure` in all respects; `savefig` takes 300 dpi unless told otherwise and
+    embeds TrueType fonts in PDF.
 
     Examples
     --------
     >>> import matplotlib.figure
     >>> isinstance(Plot(), matplotlib.figure.Figure), Plot()._repr_png_()[:4]
-    (True, b'\\x89PNG')
+    (True, b'\x89PNG')
     """
 
     def draw(self, renderer: Any) -> None:
@@ -118,13 +117,13 @@ def new_axes(ax: Axes | None, width: Width, aspect: float = 0.72) -> tuple[Figur
 
 
 def grow(figure: Figure, ax: Axes | None, lines: int) -> None:
-    """Make room for lines of text outside the axes, so that these keep their size; the caller's figure stays."""
+    """Make room for lines of text outside new axes, so that these keep their size."""
     if ax is None and lines > 0:
         figure.set_figheight(figure.get_figheight() + lines * 1.45 * FONT_SIZE / 72.0)
 
 
 def legend_above(axes: Axes, handles: list[Any], texts: list[str], title: str | None) -> int:
-    """Draw a legend above the axes, where it covers nothing, in columns that fit; give its number of lines."""
+    """Draw a legend above the axes, in columns that fit; give its number of lines."""
     if not handles and title is None:
         return 0
     figure: Any = axes.get_figure(root=True)
@@ -150,7 +149,7 @@ _LETTER = 0.6 * FONT_SIZE
 
 
 def _columns_width(texts: list[str], columns: int) -> float:
-    """Width of a legend in points; matplotlib fills columns from the top, the first ones with one entry more."""
+    """Give a legend's width in points; matplotlib fills columns from the top, the first with one more."""
     tall, more = divmod(len(texts), columns)
     width, start = 0.0, 0
     for column in range(columns):
@@ -173,7 +172,7 @@ def log_axis(axes: Axes, which: Literal["x", "y"]) -> None:
     axis = axes.xaxis if which == "x" else axes.yaxis
     narrow = high / low < (1000.0 if which == "x" else 100.0)
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if narrow else (1.0,), numticks=8))
-    short = 0.001 <= low and high < 100_000.0
+    short = low >= 0.001 and high < 100_000.0
     axis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:,g}") if short else LogFormatterSciNotation())
     axis.set_minor_formatter(NullFormatter())
 

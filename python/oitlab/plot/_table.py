@@ -130,7 +130,7 @@ def variant_columns(data: pd.DataFrame, over: Sequence[str]) -> list[str]:
 
 
 def _distinct(values: Any) -> int:
-    """How many different values there are; lists and other things that cannot be hashed count by their text."""
+    """Count different values; by their text, since some cannot be hashed."""
     return len({"" if _is_missing(value) else f"{type(value).__name__} {value!r}" for value in values})
 
 

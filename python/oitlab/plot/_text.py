@@ -25,7 +25,7 @@ def width_of(text: str, size: float) -> float:
 
 
 def wrapped(text: str, room: float, size: float) -> list[str]:
-    """Break a text into lines of at most `room` points, after spaces, commas, underscores or, failing that, anywhere.
+    """Break a text into lines of at most `room` points: after spaces, `,`, `_`, `/` or, at need, anywhere.
 
     Examples
     --------

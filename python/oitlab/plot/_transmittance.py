@@ -50,8 +50,9 @@ def transmittance(
 ) -> Figure:
     """Draw a pixel's transmittance function, the exact steps behind what techniques make of them.
 
-    T(z) is the share of light that passes everything nearer than z. Ticks on the upper edge are fragments. Values outside [0, 1]
-    (ringing) are shown as they are; on a logarithmic axis what is 0 or less is drawn at the lower edge.
+    T(z) is the share of light that passes everything nearer than z. Ticks on the upper edge are fragments.
+    Values outside [0, 1] (ringing) are shown as they are; on a logarithmic axis what is 0 or less is drawn
+    at the lower edge.
 
     Parameters
     ----------
@@ -62,8 +63,8 @@ def transmittance(
     pixel : (x, y), optional
         Column from the left and row from the top; left out, the first of those with the most fragments.
     depths : (N,) floats >= 0, optional
-        Where to evaluate, in scene units. Left out: both sides of every fragment, and 400 depths from a little
-        before the nearest to a little behind the farthest.
+        Where to evaluate, in scene units. Left out: both sides of every fragment, and 400 depths from a
+        little before the nearest to a little behind the farthest.
     logy : bool
         Logarithmic transmittance.
     width : {"single", "double"} or float
@@ -165,5 +166,5 @@ def _shown(lines: list[NDArray[np.float64]], log: bool) -> tuple[float, float]:
 
 
 def _drawn(values: NDArray[np.float64], log: bool) -> NDArray[np.float64]:
-    """What a logarithmic axis has no place for goes below its lower edge, where the line leaves the axes."""
+    """Move what a logarithmic axis has no place for below its lower edge: the line leaves the axes."""
     return np.where(place(values, log).inside & (values > 0), values, 1e-300) if log else values

@@ -45,15 +45,15 @@ def weight_curves(
     width: Width = "single",
     ax: Axes | None = None,
 ) -> Figure:
-    """Draw depth weights against depth, both logarithmic: Fig. 3 of [McGuire2013], with its weights by default.
+    """Draw depth weights against depth: Fig. 3 of [McGuire2013], with its weights by default.
 
     No formula is written here: the weights are those that `wboit` uses, found from images of two fragments.
 
     Parameters
     ----------
     weights : one, several, or a mapping of labels to weights
-        A weight is whatever the param `weight` of `wboit` takes ("mb7", ...), a dict of params (`{"weight": "inv_pow",
-        "weight_k": 5}`), or a pair of both (`("inv_pow", {"weight_k": 5})`).
+        A weight is whatever the param `weight` of `wboit` takes ("mb7", ...), a dict of params (`{"weight":
+        "inv_pow", "weight_k": 5}`), or a pair of both (`("inv_pow", {"weight_k": 5})`).
     z : (N,) floats > 0, optional
         View-space depths, in scene units. Left out: 600 from 0.1 to 500, evenly spaced on the axis.
     alpha : float or several, in (0, 1]
@@ -149,8 +149,9 @@ def evaluate(
 def _absolute(params: Mapping[str, Any], z: float, alpha: float, near: float, far: float) -> float | None:
     """Find the weight of one faint fragment; None if it is not small enough to tell.
 
-    Any constant factor cancels in the average, except where Listing 3 of [McGuire2013] is followed to the letter: the sum of
-    weights is raised to 1e-4 before it divides. Light of 1 then comes out as w / 1e-4 times the coverage.
+    Any constant factor cancels in the average, except where Listing 3 of [McGuire2013] is followed to the
+    letter: the sum of weights is raised to 1e-4 before it divides. Light of 1 then comes out as w / 1e-4
+    times the coverage.
     """
     pixel = Fragments(
         width=1, height=1, offsets=[0, 1], depth=[z], color=[(1, 1, 1)], alpha=[alpha],
