@@ -10,10 +10,10 @@ from matplotlib import colormaps
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import BoundaryNorm, Colormap, LogNorm, Normalize
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import MaxNLocator, StrMethodFormatter
 from numpy.typing import NDArray
 
-from .._convert import choice, flag, scalar
+from .._convert import choice, flag, integer, scalar
 from .._image import ImageLike
 from ..fragments import Fragments
 from ..frame import Frame
@@ -90,8 +90,8 @@ def depth_complexity(
         counts = source.fragment_count
     else:
         raise ValueError(f"source must be a Frame or Fragments, got {type(source).__name__}")
-    largest = max(1, int(counts.max()))
-    top = largest if limit is None else int(scalar(limit, "limit"))
+    largest = int(counts.max())
+    top = max(1, largest) if limit is None else integer(limit, "limit")
     if top < 1:
         raise ValueError(f"limit must be >= 1, got {limit}")
     norm, colors = _count_scale(top, flag(log, "log"))
@@ -175,7 +175,7 @@ def error_map(
     options: dict[str, Any] = {"luminance": luminance, "pixels_per_degree": pixels_per_degree}
     maps = {label: evaluate(image, reference, metric, **options) for label, image in images.items()}
     norm, text = _error_scale(metric, limits, log)
-    across = min(len(maps), 3) if columns is None else int(scalar(columns, "columns"))
+    across = min(len(maps), 3) if columns is None else integer(columns, "columns")
     if across < 1:
         raise ValueError(f"columns must be >= 1, got {columns}")
     size = inches(("single" if across == 1 else "double") if width is None else width)
@@ -211,7 +211,7 @@ def _count_ticks(bar: Any, top: int, norm: Normalize) -> None:
     elif isinstance(norm, LogNorm):
         ticks = [n for power in range(10) for n in (10**power, 2 * 10**power, 5 * 10**power) if n <= top]
         bar.set_ticks(ticks if len(ticks) < 10 else ticks[::3], labels=None)
-        bar.ax.yaxis.set_major_formatter(lambda v, _: f"{v:,.0f}")
+        bar.ax.yaxis.set_major_formatter(StrMethodFormatter("{x:,.0f}"))
         bar.ax.minorticks_off()
     else:
         bar.ax.yaxis.set_major_locator(MaxNLocator(6, integer=True))

@@ -60,9 +60,14 @@ def _names(images: list[Any]) -> list[str]:
 
 
 def _defaults(technique: str) -> dict[str, Any]:
-    """Params with a default of their own; None stands for one that follows from the others."""
+    """Give the defaults that are values; others are texts that say what they follow from."""
     entry = techniques().get(technique)
-    return {} if entry is None else {p.name: p.default for p in entry.params if p.default is not None}
+    params = () if entry is None else entry.params
+    return {
+        param.name: param.default
+        for param in params
+        if isinstance(param.default, bool | int | float) or f'"{param.default}"' in param.range
+    }
 
 
 def reduced_to(image: NDArray[Any], dots: int, statistic: Any) -> NDArray[np.float64]:
