@@ -251,7 +251,8 @@ def test_widths() -> None:
 
 
 def test_import_is_lazy() -> None:
-    code = "import sys, oitlab; assert 'matplotlib' not in sys.modules and 'plot' in dir(oitlab); oitlab.plot.pareto"
+    code = "import sys, oitlab; assert 'matplotlib' not in sys.modules and 'plot' in dir(oitlab)"
+    code += "; oitlab.plot.pareto"
     subprocess.run(
         [sys.executable, "-c", code + "; assert 'matplotlib.pyplot' not in sys.modules"], check=True
     )

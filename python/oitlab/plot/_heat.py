@@ -125,7 +125,7 @@ def error_map(
     pixels_per_degree: float | None = None,
     width: Width | None = None,
 ) -> Figure:
-    """Draw where images differ from the exact one, all on one stated scale.
+    r"""Draw where images differ from the exact one, all on one stated scale.
 
     The scale is the same for every figure unless you change it: 1e-8 to 1 for "squared", 1e-4 to 1 for
     "absolute", both logarithmic, 0 to 10 for the ΔE, 0 to 1 for "flip". The colour bar's ends are pointed
@@ -167,8 +167,8 @@ def error_map(
     >>> scene = oitlab.scenes.blades(width=32, height=18, count=40)
     >>> exact, wboit, mlab = oitlab.render_many(scene, ["a_buffer", "wboit", "mlab"])
     >>> figure = oitlab.plot.error_map([wboit, mlab], exact, "absolute")
-    >>> [axes.get_title() for axes in figure.axes[:2]], figure.axes[2].get_ylabel()
-    (['wboit', 'mlab'], 'largest error of R, G, B (linear RGB, 1 = white)')
+    >>> [axes.get_title() for axes in figure.axes[:2]], figure.axes[2].get_ylabel().split("\n")
+    (['wboit', 'mlab'], ['largest error of R, G, B', '(linear RGB, 1 = white)'])
     """
     images = named_images(frames, "frames")
     choice(metric, "metric", Metric)

@@ -76,7 +76,7 @@ def reduced_to(image: NDArray[Any], dots: int, statistic: Any) -> NDArray[np.flo
     Examples
     --------
     >>> reduced_to(np.arange(8.0).reshape(1, 8), 2, np.max).tolist()
-    [[3.0, 7.0]]
+    [[1.0, 3.0, 5.0, 7.0]]
     """
     factor = max(1, math.ceil(image.shape[1] / (2 * dots)))
     return reduced(image.astype(np.float64), factor, statistic) if factor > 1 else image.astype(np.float64)
