@@ -386,6 +386,9 @@ def test_linear_axes_and_shifts_of_zero() -> None:
         ({"x": "samples", "draw": "bars"}, "draw must be one of 'band', 'whiskers'"),
         ({"x": "samples", "floor": -1}, "floor must be a finite number >= 0"),
         ({"x": "samples", "logy": "yes"}, "logy must be True or False"),
+        ({"x": "samples", "hue": 1}, "hue must be one or several, got 1"),
+        ({"x": "samples", "over": 1}, "over must be one or several, got 1"),
+        ({"x": "samples", "spread": (0, 0.5, 1)}, "spread must be"),
         ({"x": "samples", "hue": [1]}, "hue must be a column's name or several"),
     ],
 )
@@ -412,6 +415,23 @@ def test_tables_are_checked() -> None:
     many = pd.DataFrame({"technique": [f"t{i}" for i in range(71)], "samples": 1, "mse": 0.1})
     with pytest.raises(ValueError, match="71 lines; more than 70"):
         plot.convergence(many, "samples")
+
+
+def test_keys_that_a_table_lists_are_not_averaged_over() -> None:
+    table = seeds().dropna().assign(strength=[0.1, 0.2, 0.3] * 6)
+    plot.convergence(table, "samples")
+    table.attrs["keys"] = ["technique", "strength", "seed"]
+    with pytest.raises(ValueError, match=r"differ in 'strength' \(0.1, 0.2, 0.3\)"):
+        plot.convergence(table, "samples")
+
+
+def test_names_with_an_underscore_are_in_the_legend() -> None:
+    table = seeds().replace({"slab": "_mine", "wboit": "_flat"})
+    assert [t.strip() for t in legend(plot.convergence(table, "samples"))] == [
+        "_mine",
+        "stochastic_transparency",
+        "_flat (without samples)",
+    ]
 
 
 def test_nullable_columns_of_a_sweep_are_taken() -> None:
@@ -632,6 +652,7 @@ def test_weight_curves_with_params_labels_and_alphas() -> None:
         ({"weights": ["mb7", "mb7"]}, "weights has 'mb7' twice"),
         ({"weights": ["nothing"]}, "nothing"),
         ({"weights": [3]}, "a weight is a name"),
+        ({"weights": 3}, "weights must be one or several, got 3"),
         ({"weights": ("inv_pow", {"k": 2})}, "k"),
         ({"z": [1.0, 0.0]}, r"z\[1\] must be a finite depth > 0, got 0"),
         ({"z": [np.nan]}, r"z\[0\]"),
@@ -720,6 +741,8 @@ def test_error_map_limits(frames: list[oitlab.Frame]) -> None:
         ({"metric": "mse"}, "metric must be one of 'squared'"),
         ({"columns": 0}, "columns must be >= 1"),
         ({"limits": 3}, "limits must be two numbers"),
+        ({"limits": (1, 2, 3)}, "limits must be two numbers"),
+        ({"frames": 3}, "frames must be one or several, got 3"),
         ({"metric": "flip"}, "pixels_per_degree"),
     ):
         given: dict[str, Any] = {"frames": wboit, **arguments}
@@ -770,6 +793,8 @@ def test_transmittance_refuses(fragments: oitlab.Fragments) -> None:
         ({"pixel": (48, 0)}, r"pixel \(48, 0\) is outside the 48 x 27 image"),
         ({"pixel": (x, y)}, r"has no fragments; the deepest pixel is \("),
         ({"pixel": 3}, "pixel must be a pair"),
+        ({"pixel": (1, 2, 3)}, "pixel must be a pair"),
+        ({"pixel": (0.5, 1)}, "pixel must be a pair"),
         ({"techniques": []}, "techniques is empty"),
         ({"techniques": 3}, "techniques must be a technique"),
         ({"techniques": ["avsm", "avsm"]}, "techniques has 'avsm' twice"),
@@ -878,6 +903,8 @@ def test_strip_reduces_in_linear_light() -> None:
         ({"insets": [(0, 0, 4, 4), (45, 0, 4, 4)]}, r"insets\[1\]"),
         ({"insets": [(-1, 0, 4, 4)]}, r"insets\[0\]"),
         ({"insets": [(0.5, 0, 4, 4)]}, r"insets\[0\] x must be an integer"),
+        ({"insets": 3}, "insets must be one or several, got 3"),
+        ({"labels": 3}, "labels must be one or several, got 3"),
         ({"insets": [3]}, r"insets\[0\] must be \(x, y, w, h\)"),
         ({"insets": [(0, 0, 1, 1)] * 7}, "at most 6"),
         ({"labels": ["one"]}, "labels: expected 3"),
@@ -925,6 +952,7 @@ def test_axes_table_of_some() -> None:
     for wrong, message in (
         (["nothing"], "unknown technique 'nothing'; known: a_buffer"),
         ([], "techniques is empty"),
+        (3, "techniques must be one or several, got 3"),
         (["over", "a_buffer"], "techniques has 'a_buffer' twice"),
     ):
         with pytest.raises(ValueError, match=message):

@@ -223,7 +223,7 @@ def _error_scale(metric: str, limits: tuple[float, float] | None, log: bool | No
     if limits is not None:
         try:
             low, high = (scalar(value, "limits") for value in limits)
-        except TypeError:
+        except (TypeError, ValueError):
             raise ValueError(f"limits must be two numbers, got {limits!r}") from None
     elif logarithmic and low == 0.0:
         low = 1e-3 * high

@@ -15,6 +15,7 @@ from .._image import as_image, reduced
 from ..frame import Frame
 from ..registry import techniques
 from ._style import FONT_SIZE, PRINT_DPI, Plot, box_edges
+from ._table import several
 from ._variants import name_of
 
 
@@ -23,7 +24,7 @@ def named_images(value: Any, argument: str) -> dict[str, NDArray[Any]]:
     if isinstance(value, Mapping):
         given = [(str(label), image) for label, image in value.items()]
     else:
-        several = [value] if isinstance(value, Frame) or _is_image(value) else list(value)
+        several = [value] if isinstance(value, Frame) or _is_image(value) else several(value, argument)
         given = [(name, image) for name, image in zip(_names(several), several, strict=True)]
     if not given:
         raise ValueError(f"{argument} is empty")

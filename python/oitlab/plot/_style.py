@@ -122,6 +122,11 @@ def grow(figure: Figure, ax: Axes | None, lines: int) -> None:
         figure.set_figheight(figure.get_figheight() + lines * 1.45 * FONT_SIZE / 72.0)
 
 
+def legend_name(text: str) -> str:
+    """Give a line's name as legends show it: matplotlib hides those that begin with an underscore."""
+    return f" {text}" if text.startswith("_") else text
+
+
 def legend_above(axes: Axes, handles: list[Any], texts: list[str], title: str | None) -> int:
     """Draw a legend above the axes, in columns that fit; give its number of lines."""
     if not handles and title is None:
