@@ -24,8 +24,8 @@ def named_images(value: Any, argument: str) -> dict[str, NDArray[Any]]:
     if isinstance(value, Mapping):
         given = [(str(label), image) for label, image in value.items()]
     else:
-        several = [value] if isinstance(value, Frame) or _is_image(value) else several(value, argument)
-        given = [(name, image) for name, image in zip(_names(several), several, strict=True)]
+        given_images = [value] if isinstance(value, Frame) or _is_image(value) else several(value, argument)
+        given = [(name, image) for name, image in zip(_names(given_images), given_images, strict=True)]
     if not given:
         raise ValueError(f"{argument} is empty")
     return {label: as_image(image, f"{argument}[{label!r}]") for label, image in given}

@@ -181,8 +181,8 @@ def _named(weights: Any) -> dict[str, dict[str, Any]]:
     if isinstance(weights, Mapping) and not _is_params(weights):
         given = [(str(label), _params(weight)) for label, weight in weights.items()]
     else:
-        several = [weights] if _is_one(weights) else several(weights, "weights")
-        given = [(_label(params), params) for params in map(_params, several)]
+        all_weights = [weights] if _is_one(weights) else several(weights, "weights")
+        given = [(_label(params), params) for params in map(_params, all_weights)]
     if not given:
         raise ValueError("weights is empty")
     labels = [label for label, _ in given]
