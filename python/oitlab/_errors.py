@@ -52,8 +52,7 @@ def errors_of(test: NDArray[Any], exact: NDArray[Any], threshold: float | None =
             np.subtract(block, flat_exact[start : start + size], out=difference, dtype=np.float64)
             np.abs(difference, out=difference)
             most = float(difference.max())
-            if not most <= largest:  # NaN is not, and stays
-                largest = most
+            largest = most if most > largest or math.isnan(most) else largest  # NaN stays
             if threshold is not None and most > threshold:
                 bad += _bad_pixels(difference, threshold)
             np.square(difference, out=difference)

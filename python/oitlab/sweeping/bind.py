@@ -67,7 +67,10 @@ def bound(
     given = list(_seeded(requests, seeds))
     frames = probe.frames(given)
     variants = (probe.variant(request, frame.params) for request, frame in zip(given, frames, strict=True))
-    return list({variant.identity: variant for variant in reversed(list(variants))}.values())[::-1]
+    distinct: dict[str, Variant] = {}
+    for variant in variants:
+        distinct.setdefault(variant.identity, variant)
+    return list(distinct.values())
 
 
 def _seeded(requests: Iterable[Request], seeds: Sequence[int] | None) -> Iterator[Request]:
@@ -87,6 +90,7 @@ class _Probe:
     def __init__(self, source: Scene | Fragments) -> None:
         self._pixel = _empty_pixel(source)
         self._inactive: dict[str, frozenset[str]] = {}
+        self._fingerprints: dict[str, str | None] = {}
 
     def frames(self, requests: Sequence[Request]) -> list[Frame]:
         """Frames whose params are resolved."""
@@ -99,7 +103,9 @@ class _Probe:
         active = {name: params[name] if callable(params.get(name)) else value
                   for name, value in resolved.items() if name not in inactive}  # fmt: skip
         dotted = {name: value for name, value in params.items() if name not in resolved}
-        identity = canonical([technique, technique_fingerprint(technique), {**dotted, **active}])
+        if technique not in self._fingerprints:
+            self._fingerprints[technique] = technique_fingerprint(technique)
+        identity = canonical([technique, self._fingerprints[technique], {**dotted, **active}])
         return Variant(technique, checked_variant((technique, params))[1], inactive, identity)
 
     def _inactive_params(
@@ -126,7 +132,7 @@ class _Probe:
                 frames = render_many(self._pixel, pair, threads=1)
             except ValueError:  # not a value of this param, or not beside the other params
                 continue
-            return bool(frames[1].stats.skipped.get("duplicate_variants"))
+            return any(frame.stats.skipped.get("duplicate_variants") for frame in frames)
         return False
 
 

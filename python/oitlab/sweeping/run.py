@@ -181,6 +181,7 @@ def sweep(
     remembers = flag(measure_memory, "measure_memory")
     if remembers and not can_measure():
         raise ValueError("measure_memory: this system does not tell the peak of a process's memory")
+    show = flag(progress, "progress")
     _check_executor(executor)
     packages = plan.packages_of(named, reference)
     measure = measure_of(metrics, metric_options, has_reference=reference is not None)
@@ -195,7 +196,7 @@ def sweep(
 
     with ExitStack() as stack:
         study = None if store is None else stack.enter_context(closing(Study(store)))
-        sheet = _Sheet(wanted, study, stack, show=flag(progress, "progress"))
+        sheet = _Sheet(wanted, study, stack, show=show)
         try:
             sheet.take_from_store()
             _run(tasks(sheet.missing()), by_key, executor, sheet)
