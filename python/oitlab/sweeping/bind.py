@@ -88,14 +88,14 @@ class _Probe:
     """Asks the core about params, on an image of one empty pixel that has the source's clip planes."""
 
     def __init__(self, source: Scene | Fragments) -> None:
-        self._pixel = _empty_pixel(source)
+        self.pixel = _empty_pixel(source)
         self._inactive: dict[str, frozenset[str]] = {}
         self._fingerprints: dict[str, str | None] = {}
 
     def frames(self, requests: Sequence[Request]) -> list[Frame]:
         """Frames whose params are resolved."""
         chunks = (requests[start : start + _AT_ONCE] for start in range(0, len(requests), _AT_ONCE))
-        return [frame for chunk in chunks for frame in render_many(self._pixel, chunk, threads=1)]
+        return [frame for chunk in chunks for frame in render_many(self.pixel, chunk, threads=1)]
 
     def variant(self, request: Request, resolved: Mapping[str, Any]) -> Variant:
         technique, params = request
@@ -129,7 +129,7 @@ class _Probe:
         for other in _others(param, resolved.get(param.name)):
             pair = [(technique, dict(params)), (technique, {**params, param.name: other})]
             try:
-                frames = render_many(self._pixel, pair, threads=1)
+                frames = render_many(self.pixel, pair, threads=1)
             except ValueError:  # not a value of this param, or not beside the other params
                 continue
             return any(frame.stats.skipped.get("duplicate_variants") for frame in frames)
@@ -168,4 +168,5 @@ def _empty_pixel(source: Scene | Fragments) -> Scene | Fragments:
 def resolved_identity(source: Scene | Fragments, request: Request) -> str:
     """Identity of one request, for a reference."""
     probe = _Probe(source)
-    return probe.variant(request, render(probe._pixel, *request, threads=1).params).identity
+    frame = render(probe.pixel, *request, threads=1)
+    return probe.variant((frame.technique, request[1]), frame.params).identity

@@ -161,7 +161,12 @@ def read_study(path: str | os.PathLike[str]) -> pd.DataFrame:
 
 
 def _open_to_read(path: Path) -> sqlite3.Connection:
+    """Open without writing; a study may be tidied up by its last reader, other files are not touched."""
     uri = path.absolute().as_uri()
+    if _has_our_header(path) and os.access(path, os.W_OK) and os.access(path.parent, os.W_OK):
+        connection = sqlite3.connect(f"{uri}?mode=rw", uri=True, timeout=BUSY_SECONDS)
+        connection.execute("PRAGMA query_only = ON")
+        return connection
     connection = sqlite3.connect(f"{uri}?mode=ro", uri=True, timeout=BUSY_SECONDS)
     try:
         connection.execute("PRAGMA schema_version").fetchone()
@@ -172,6 +177,11 @@ def _open_to_read(path: Path) -> sqlite3.Connection:
             raise
         connection = sqlite3.connect(f"{uri}?mode=ro&immutable=1", uri=True)
     return connection
+
+
+def _has_our_header(path: Path) -> bool:
+    with path.open("rb") as file:
+        return file.read(72)[68:] == APPLICATION_ID.to_bytes(4, "big")
 
 
 def _checked_path(path: str | os.PathLike[str]) -> Path:
