@@ -23,7 +23,7 @@ SWEEPS = {
 
 
 def measured(what: oitlab.Scene, name: str, points: int) -> dict[str, Any]:
-    """One sweep of wboit with everything that comes by default, into a store; then once more from the store."""
+    """One sweep of wboit with what comes by default, into a store; then once more from the store."""
     fixed, param, (low, high) = SWEEPS[name]
     grid = {"wboit": {**fixed, param: np.linspace(low, high, points)}}
     with tempfile.TemporaryDirectory() as folder:
@@ -89,13 +89,13 @@ def tables(results: dict[str, Any]) -> str:
                      three_digits(1e3 * row["seconds"] / row["points"]), three_digits(row["again_seconds"]),
                      best, "yes" if row["within_limit"] else "**no**"])  # fmt: skip
     alone = results["one_by_one"]
+    each = three_digits(1e3 * alone["seconds"] / alone["points"])
     header = ["wboit with", "points", "seconds", "ms a point", "from the store, s", "best",
               f"under {results['limit_seconds']:.0f} s"]  # fmt: skip
     return "\n\n".join(
         [
             "`oitlab.sweep` of soup with default metrics, the reference's rendering and a store included.",
             markdown_table(header, rows),
-            f"A loop over `render` and `compare` takes {three_digits(1e3 * alone['seconds'] / alone['points'])} "
-            f"ms a point (mb7, {alone['points']} points).",
+            f"A loop over `render` and `compare` takes {each} ms a point (mb7, {alone['points']} points).",
         ]
     )
