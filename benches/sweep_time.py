@@ -1,4 +1,4 @@
-"""A thousand weights on one scene: how long `oitlab.sweep` takes, beside rendering and comparing one by one."""
+"""A thousand weights on one scene: how long `oitlab.sweep` takes, beside a loop over render and compare."""
 
 from __future__ import annotations
 

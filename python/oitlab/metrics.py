@@ -38,7 +38,8 @@ ERROR_MAPS = ("squared", "absolute", "delta_e_2000", "delta_e_itp", "flip")
 
 _LARGEST_ERROR = 1e149
 """Largest difference whose squares, summed over a billion channels and scaled by 255^2, fit in float64."""
-_CHEAP = ("mse", "rmse", "max_error", "mse_255", "bad_pixels")
+CHEAP = ("mse", "rmse", "max_error", "mse_255", "bad_pixels")
+"""Metrics that come from one walk over the images and need no argument."""
 _Pixels: TypeAlias = NDArray[np.float64]
 
 
@@ -202,7 +203,7 @@ def error_map(
 
 def _requested(metrics: str | Iterable[str] | None, data_range: float | None) -> list[str]:
     if metrics is None:
-        wanted = {*_CHEAP, *(["psnr"] if data_range is not None else [])}
+        wanted = {*CHEAP, *(["psnr"] if data_range is not None else [])}
     elif isinstance(metrics, str):
         wanted = set(METRICS) if metrics == "all" else {metrics}
     else:

@@ -8,7 +8,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from ..metrics import METRICS, compare
+from ..metrics import CHEAP, METRICS, compare
 from .identity import canonical
 
 DEFAULT = ("mse", "max_error")
@@ -31,6 +31,11 @@ class Measure:
     def identity(self) -> str:
         """Canonical text, by which stored rows are found."""
         return canonical([self.names, self.options, self.functions])
+
+    @property
+    def may_be_threaded(self) -> bool:
+        """Whether several images may be measured at once: neither packages nor users promise that."""
+        return not self.functions and set(self.names) <= {*CHEAP, "psnr"}
 
     def __call__(self, frame: Any, reference: Any) -> dict[str, float]:
         """Values of all metrics."""

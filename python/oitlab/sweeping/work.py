@@ -7,6 +7,7 @@ import os
 import platform
 import statistics
 from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from threading import Lock
 from typing import Any
@@ -26,6 +27,8 @@ from .metrics import Measure
 
 Row = dict[str, Any]
 """One finished variant: numbers, texts and None; params, metrics and skipped are dicts of such."""
+THREADED_PIXELS = 1 << 17
+"""Of an image that is worth a thread of its own."""
 TIMES = ("resolve_ms", "raster_ms", "total_ms")
 
 
@@ -76,16 +79,25 @@ class Task:
             again = render_many(package.source, requests, threads=self.threads)
             for kept, frame in zip(stats, again, strict=True):
                 kept.append(frame.stats)
-        frames.reverse()  # each image is freed once it is measured
-        for key, variant, kept in zip(self.keys, self.variants, stats, strict=True):
-            frame = frames.pop()
-            row = self._row(variant, frame, kept)
-            row["metrics"] = self.measure(frame, package.exact(self.threads))
+        measured = self._measured(frames, package.exact(self.threads))
+        each = zip(self.keys, self.variants, frames, stats, measured, strict=True)
+        for key, variant, frame, kept, metrics in each:
+            row = {**self._row(variant, frame, kept), "metrics": metrics}
             if self.measure_memory:
                 row["bytes_per_pixel_measured"] = peak_bytes_per_pixel(
                     package.source, variant.request, self.threads
                 )
             yield key, row
+
+    def _measured(self, frames: Sequence[Frame], exact: Any) -> Iterator[dict[str, float]]:
+        """Metrics of one image after the other; cheap ones of large images by all threads, an image each."""
+        workers = min(self.threads or os.cpu_count() or 1, len(frames))
+        pixels = frames[0].color[..., 0].size
+        if workers == 1 or pixels < THREADED_PIXELS or not self.measure.may_be_threaded:
+            yield from (self.measure(frame, exact) for frame in frames)
+            return
+        with ThreadPoolExecutor(workers) as pool:
+            yield from pool.map(lambda frame: self.measure(frame, exact), frames)
 
     def _row(self, variant: Variant, frame: Frame, stats: Sequence[Any]) -> Row:
         first = stats[0]
