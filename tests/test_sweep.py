@@ -554,3 +554,13 @@ def test_rows_are_plain_data(small_scene):
     measure = oitlab.sweeping.metrics.Measure()
     ((_, row),) = work.Task("p", (variant,), ("k",), measure, 1, None).rows(package)
     assert json.loads(json.dumps(row)) == {**row, "params": {**row["params"], "range": [1.0, 2.0]}}
+
+
+def test_importing_oitlab_imports_no_more_than_it_needs():
+    """Sweeps are imported when they are asked for, and so is what they need."""
+    heavy = ["oitlab.sweeping", "pandas", "sqlite3", "tqdm", "cloudpickle", "xarray", "dask", "matplotlib"]
+    program = f"import sys, oitlab; assert not set({heavy}) & set(sys.modules); print(oitlab.sweep.__name__)"
+    assert subprocess.check_output([sys.executable, "-c", program], text=True) == "sweep\n"
+    assert {"sweep", "read_study", "to_xarray", "SweepFailed"} <= set(dir(oitlab))
+    with pytest.raises(AttributeError, match="has no attribute 'swept'"):
+        oitlab.swept  # noqa: B018

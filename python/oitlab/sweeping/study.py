@@ -8,6 +8,7 @@ others wait their turn. Readers never wait.
 from __future__ import annotations
 
 import json
+import math
 import os
 import sqlite3
 from collections.abc import Iterable, Iterator, Mapping
@@ -219,24 +220,20 @@ def _named(path: Path) -> Iterator[None]:
 
 
 def _cells(row: Row) -> Iterator[Any]:
+    numbers = {name: value if math.isfinite(value) else repr(value) for name, value in row["metrics"].items()}
+    strict = {**row, "metrics": numbers}  # JSON has no infinity, and SQLite's functions want JSON
     for name in _COLUMNS:
-        yield json.dumps(row[name], default=_tagged) if name in _JSON else row[name]
-
-
-def _tagged(value: Any) -> Any:
-    return repr(value)
+        yield json.dumps(strict[name], default=repr, allow_nan=False) if name in _JSON else row[name]
 
 
 def _row(cells: Iterable[Any]) -> Row:
     row = dict(zip(_COLUMNS, cells, strict=True))
     for name in _JSON:
         row[name] = json.loads(row[name])
-    row["params"] = {name: _untagged(value) for name, value in row["params"].items()}
+    params = row["params"].items()
+    row["params"] = {name: tuple(value) if isinstance(value, list) else value for name, value in params}
+    row["metrics"] = {name: float(value) for name, value in row["metrics"].items()}
     return row
-
-
-def _untagged(value: Any) -> Any:
-    return tuple(value) if isinstance(value, list) else value
 
 
 def named_row(row: Mapping[str, Any], scene: str) -> Row:
