@@ -564,3 +564,23 @@ def test_importing_oitlab_imports_no_more_than_it_needs():
     assert {"sweep", "read_study", "to_xarray", "SweepFailed"} <= set(dir(oitlab))
     with pytest.raises(AttributeError, match="has no attribute 'swept'"):
         oitlab.swept  # noqa: B018
+
+
+def test_reference_images_of_many_scenes_are_not_kept(small_scene, monkeypatch):
+    packages = []
+    create = oitlab.sweeping.plan.Package
+
+    def keeping(*arguments):
+        packages.append(create(*arguments))
+        return packages[-1]
+
+    monkeypatch.setattr(oitlab.sweeping.plan, "Package", keeping)
+    kept = []
+
+    def count(frame, reference):
+        kept.append(sum(package._exact is not None for package in packages))
+        return 0.0
+
+    scenes = [small_scene.replace(width=20 + n) for n in range(4)]
+    sweep(scenes, {"lwboit": {"bins": [2, 4]}}, metrics={"count": count}, group=1)
+    assert kept == [1] * 8

@@ -7,6 +7,7 @@ import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import ExitStack, closing
+from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
 from .._convert import count, flag
@@ -226,10 +227,12 @@ def _run(
     tasks: Sequence[Task], packages: Mapping[str, Package], executor: Executor | None, sheet: _Sheet
 ) -> None:
     if executor is None:
-        for task in tasks:
-            if not sheet.has_all(task.keys):  # another sweep may have been here meanwhile
-                for finished in task.rows(packages[task.package]):
-                    sheet.add([finished])
+        for package, some in groupby(tasks, lambda task: task.package):
+            for task in some:
+                if not sheet.has_all(task.keys):  # another sweep may have been here meanwhile
+                    for finished in task.rows(packages[package]):
+                        sheet.add([finished])
+            packages[package].forget()
         return
     used = {task.package: packages[task.package] for task in tasks}
     with closing(_closable(completed(executor, list(tasks), used))) as results:

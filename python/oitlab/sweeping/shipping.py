@@ -10,7 +10,7 @@ import contextlib
 import os
 import pickle
 import tempfile
-from collections import OrderedDict
+from collections import Counter, OrderedDict
 from collections.abc import Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from pathlib import Path
@@ -92,13 +92,14 @@ def completed(
     with _shared_files(packages) as paths:
         messages = {index: _message(task, paths[task.package]) for index, task in enumerate(tasks)}
         pending: dict[Future[bytes | None], int] = {}
+        left = Counter(task.package for task in tasks)
         try:
             for index, message in messages.items():
                 pending[executor.submit(run_shipped, message)] = index
             while pending:
                 finished, _ = wait(pending, timeout=_POLL_SECONDS, return_when=FIRST_COMPLETED)
                 failed: BaseException | None = None
-                for future in finished:
+                for future in sorted(finished, key=pending.__getitem__):
                     index = pending.pop(future)
                     if future.exception() is not None:
                         failed = future.exception()
@@ -107,8 +108,11 @@ def completed(
                     if rows is None:
                         scene = Path(paths[tasks[index].package]).read_bytes()
                         pending[executor.submit(run_shipped, messages[index], scene)] = index
-                    else:
-                        yield pickle.loads(rows)
+                        continue
+                    left[tasks[index].package] -= 1
+                    if not left[tasks[index].package]:
+                        packages[tasks[index].package].forget()
+                    yield pickle.loads(rows)
                 if failed is not None:  # after what has been finished besides
                     raise failed
         finally:

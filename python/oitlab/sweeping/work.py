@@ -52,6 +52,11 @@ class Package:
                 )
             return self._exact
 
+    def forget(self) -> None:
+        """Free the reference image; many scenes have many."""
+        with self._lock:
+            self._exact = None
+
     def __reduce__(self) -> tuple[Any, ...]:
         return Package, (self.source, self.reference)
 
