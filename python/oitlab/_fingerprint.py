@@ -21,10 +21,10 @@ def fingerprint(*values: Any) -> str:
 
     A function counts with its byte code, constants, defaults, what it closes over, and the globals that it
     names: data by value, functions and classes of its own package (or of `__main__`) in turn, everything else
-    by name and, for modules, version. Docstrings, comments, names of local variables and line numbers do not
-    count. What cannot be seen: what is reached through an attribute of a module or by name at run time, files,
-    and objects that cannot be pickled, of which the type alone counts. Byte code is that of a Python version:
-    another version gives another hash.
+    by name and version. Comments, names of local variables and line numbers do not count. What cannot be
+    seen: what is reached through an attribute of a module or by name at run time, files, and objects that
+    cannot be pickled, of which the type alone counts. Byte code is that of a Python version: another version
+    gives another hash.
 
     Examples
     --------
@@ -144,9 +144,7 @@ class _Writer:
         if not self._is_own(function):
             self._foreign(function)
             return
-        self._tag("function")
-        self._code(function.__code__, function.__doc__)
-        self._parts("defaults", function.__defaults__, function.__kwdefaults__)
+        self._parts("function", function.__code__, function.__defaults__, function.__kwdefaults__)
         for name, cell in zip(function.__code__.co_freevars, function.__closure__ or (), strict=True):
             self._tag("cell", name)
             try:
@@ -160,12 +158,10 @@ class _Writer:
             elif not hasattr(builtins, name):
                 self._tag("attribute", name)
 
-    def _code(self, code: types.CodeType, doc: str | None = None) -> None:
+    def _code(self, code: types.CodeType) -> None:
         self._hash.update(code.co_code)
         self._tag(str(code.co_argcount), str(code.co_kwonlyargcount), str(code.co_flags), *code.co_names)
-        constants = code.co_consts
-        has_doc = doc is not None and constants[:1] == (doc,)
-        self._parts("constants", *(constants[1:] if has_doc else constants))
+        self._parts("constants", *code.co_consts)
 
     def _class(self, kind: type) -> None:
         self._foreign(kind)
