@@ -18,8 +18,10 @@ import oitlab
 from handmade import random_image
 from oitlab import cli
 from oitlab._errors import BLOCK_PIXELS, errors_of
-from oitlab.sweeping import work
+from oitlab.sweeping import plan, work
 from oitlab.sweeping.bind import bound
+from oitlab.sweeping.metrics import Measure
+from oitlab.sweeping.table import _AFTER, from_rows
 
 ROUNDING = 1e-12
 """Relative; sums of squares may be added in another order."""
@@ -104,12 +106,10 @@ class TestTable:
 
     def test_large_images_come_in_groups_that_fit_the_memory(self, pane):
         scene = oitlab.Scene([pane], camera=oitlab.Camera(), width=2048, height=2048)
-        rows = oitlab.sweeping.plan.tasks_of(
-            oitlab.sweeping.plan.wanted_rows(
-                {"a": scene}, {"a": ("p", None)}, [("lwboit", {"bins": n}) for n in range(1, 11)], None, []
-            ),
-            {"p": work.Package(scene, None)}, oitlab.sweeping.metrics.Measure(), 1, None, None, 64, False,
-        )  # fmt: skip
+        requests = [("lwboit", {"bins": n}) for n in range(1, 11)]
+        wanted = plan.wanted_rows({"a": scene}, {"a": ("p", None)}, requests, None, [])
+        make = partial(work.Task, measure=Measure(), repeats=1, threads=None)
+        rows = plan.tasks_of(wanted, {"p": work.Package(scene, None)}, make, None, 64)
         assert [len(task.variants) for task in rows] == [4, 4, 2]
 
     def test_scenes_by_name_and_fragments(self, small_scene):
@@ -155,8 +155,8 @@ class TestTable:
     def test_a_param_named_like_a_column_gets_a_prefix(self):
         row = {"scene": "s", "technique": "t", "seed": None, "scene_hash": "h", "skipped": {}, "versions": {}}
         row |= {"params": {"threads": 1, "mse": 2.0}, "metrics": {"mse": 0.5, "width": 3.0}}
-        row |= {name: None for name in oitlab.sweeping.table._AFTER}
-        table = oitlab.sweeping.table.from_rows([row])
+        row |= {name: None for name in _AFTER}
+        table = from_rows([row])
         found = table[["param.threads", "mse", "metric.mse", "metric.width"]].iloc[0].tolist()
         assert found == [1, 2.0, 0.5, 3.0]
 
@@ -551,7 +551,7 @@ def test_rows_are_plain_data(small_scene):
     """What is stored is what JSON knows."""
     package = work.Package(small_scene, None)
     (variant,) = bound(small_scene, [("lwboit", {"range": (1.0, 2.0)})], None)
-    measure = oitlab.sweeping.metrics.Measure()
+    measure = Measure()
     ((_, row),) = work.Task("p", (variant,), ("k",), measure, 1, None).rows(package)
     assert json.loads(json.dumps(row)) == {**row, "params": {**row["params"], "range": [1.0, 2.0]}}
 
@@ -568,13 +568,13 @@ def test_importing_oitlab_imports_no_more_than_it_needs():
 
 def test_reference_images_of_many_scenes_are_not_kept(small_scene, monkeypatch):
     packages = []
-    create = oitlab.sweeping.plan.Package
+    create = plan.Package
 
     def keeping(*arguments):
         packages.append(create(*arguments))
         return packages[-1]
 
-    monkeypatch.setattr(oitlab.sweeping.plan, "Package", keeping)
+    monkeypatch.setattr(plan, "Package", keeping)
     kept = []
 
     def count(frame, reference):

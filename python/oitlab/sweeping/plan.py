@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
@@ -17,7 +17,6 @@ from ..scene import Scene
 from .bind import Variant, bound, resolved_identity
 from .grid import Request
 from .identity import core_digest, digest
-from .metrics import Measure
 from .work import Package, Task
 
 Source: TypeAlias = Scene | Fragments
@@ -81,8 +80,7 @@ def _reference(reference: Any, source: Source, scene: str) -> tuple[Any, str]:
     """Give a reference as a package has it, and what tells it from others."""
     if reference is None:
         return None, "none"
-    if isinstance(reference, str) or (isinstance(reference, tuple) and isinstance(reference[:1], tuple)
-                                      and len(reference) == 2 and isinstance(reference[0], str)):  # fmt: skip
+    if isinstance(reference, str | tuple):
         request: Request = checked_variant(reference)
         return request, resolved_identity(source, request)
     if not isinstance(reference, Frame | np.ndarray | list):
@@ -120,14 +118,25 @@ def wanted_rows(
 def tasks_of(
     wanted: Iterable[Wanted],
     packages: Mapping[str, Package],
-    measure: Measure,
-    repeats: int,
-    threads: int | None,
+    make: Callable[..., Task],
     group: int | None,
     largest: int,
-    measure_memory: bool,
 ) -> Iterator[Task]:
-    """Tasks that make these rows, each variant once."""
+    """Tasks that make these rows, each variant once.
+
+    Parameters
+    ----------
+    wanted : iterable of Wanted
+        Rows that are not there yet.
+    packages : mapping of str to Package
+        By key.
+    make : function
+        `Task` with everything that all tasks have in common.
+    group : int, optional
+        Most variants of a task.
+    largest : int
+        The same where `group` is None, and the image's size allows as many.
+    """
     by_package: dict[str, dict[str, Variant]] = {}
     for row in wanted:
         by_package.setdefault(row.package, {})[row.key] = row.variant
@@ -137,4 +146,4 @@ def tasks_of(
         items = list(variants.items())
         for start in range(0, len(items), size):
             keys, some = zip(*items[start : start + size], strict=True)
-            yield Task(package, some, keys, measure, repeats, threads, measure_memory)
+            yield make(package=package, variants=some, keys=keys)

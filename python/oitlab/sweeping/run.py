@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import ExitStack, closing
+from functools import partial
 from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
@@ -190,17 +191,16 @@ def sweep(
     wanted = plan.wanted_rows(named, packages, requests, checked, conditions)
     by_key = dict(packages.values())
 
-    def tasks(missing: Iterable[Wanted]) -> list[Task]:
-        largest = plan.LARGEST_GROUP if executor is None else plan.LARGEST_TASK
-        cores = threads or (None if executor is None else 1)
-        return list(plan.tasks_of(missing, by_key, measure, times, cores, group, largest, remembers))
-
+    largest = plan.LARGEST_GROUP if executor is None else plan.LARGEST_TASK
+    cores = threads or (None if executor is None else 1)
+    make = partial(Task, measure=measure, repeats=times, threads=cores, measure_memory=remembers)
     with ExitStack() as stack:
         study = None if store is None else stack.enter_context(closing(Study(store)))
         sheet = _Sheet(wanted, study, stack, show=show)
         try:
             sheet.take_from_store()
-            _run(tasks(sheet.missing()), by_key, executor, sheet)
+            tasks = list(plan.tasks_of(sheet.missing(), by_key, make, group, largest))
+            _run(tasks, by_key, executor, sheet)
         except KeyboardInterrupt:
             warnings.warn(SweepInterrupted(f"stopped by Ctrl-C: {sheet.summary()}"), stacklevel=2)
         except Exception as error:
@@ -235,13 +235,9 @@ def _run(
             packages[package].forget()
         return
     used = {task.package: packages[task.package] for task in tasks}
-    with closing(_closable(completed(executor, list(tasks), used))) as results:
+    with closing(completed(executor, list(tasks), used)) as results:
         for rows in results:
             sheet.add([(key, {**row, "executor": type(executor).__name__}) for key, row in rows])
-
-
-def _closable(results: Iterator[Any]) -> Any:
-    return results
 
 
 class _Sheet:

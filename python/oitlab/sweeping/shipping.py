@@ -11,7 +11,7 @@ import os
 import pickle
 import tempfile
 from collections import Counter, OrderedDict
-from collections.abc import Iterator, Mapping
+from collections.abc import Generator, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from pathlib import Path
 from threading import Lock
@@ -84,7 +84,7 @@ def _package(key: str, path: str, scene: bytes | None) -> Package | None:
 
 def completed(
     executor: Executor, tasks: list[Task], packages: Mapping[str, Package]
-) -> Iterator[list[tuple[str, Row]]]:
+) -> Generator[list[tuple[str, Row]], None, None]:
     """Run tasks and give each one's rows as it finishes.
 
     When the generator is closed, tasks that have not begun are cancelled.

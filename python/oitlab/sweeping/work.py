@@ -20,7 +20,6 @@ from ..frame import Frame
 from ..rendering import render, render_many
 from ..scene import Scene
 from .bind import Variant
-from .grid import Request
 from .identity import shown
 from .memory import peak_bytes_per_pixel
 from .metrics import Measure
@@ -166,8 +165,3 @@ def versions() -> dict[str, str | None]:
         "cores": str(os.cpu_count()),
         "host": platform.node(),
     }
-
-
-def reference_request(reference: Any) -> Request | None:
-    """(technique, params) where the reference is to be rendered, None where it is an image."""
-    return reference if isinstance(reference, tuple) else None
