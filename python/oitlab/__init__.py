@@ -38,6 +38,7 @@ from .stress_lab import stress, stress_cases
 
 if _TYPE_CHECKING:
     from . import plot
+    from .sweeping import SweepFailed, SweepInterrupted, read_study, sweep, to_xarray
 
 __all__ = [
     "Camera",
@@ -52,6 +53,8 @@ __all__ = [
     "ParamInfo",
     "Scene",
     "Stats",
+    "SweepFailed",
+    "SweepInterrupted",
     "TechniqueInfo",
     "TextureWarning",
     "Transmittance",
@@ -64,23 +67,33 @@ __all__ = [
     "order_sensitivity",
     "plot",
     "read_exr",
+    "read_study",
     "render",
     "render_many",
     "scenes",
     "stress",
     "stress_cases",
+    "sweep",
     "techniques",
+    "to_xarray",
     "transmittance",
     "write_exr",
     "write_png",
 ]
 
+_SWEEPING = ("SweepFailed", "SweepInterrupted", "read_study", "sweep", "to_xarray")
+
 
 def __getattr__(name: str) -> _Any:
-    if name == "plot":  # matplotlib takes longer to import than all the rest
+    # what takes longer to import than all the rest: matplotlib; a store, executors and what they bring
+    if name == "plot" or name in _SWEEPING:
         from importlib import import_module
 
-        return import_module(".plot", __name__)
+        return (
+            import_module(".plot", __name__)
+            if name == "plot"
+            else getattr(import_module(".sweeping", __name__), name)
+        )
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
