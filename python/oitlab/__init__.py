@@ -17,8 +17,9 @@ Examples
 True
 """
 
-from . import scenes
+from . import custom, scenes
 from ._oitlab import __version__
+from .custom import Batch, Param, technique, unregister
 from .diagnostics import Diagnostics
 from .exr import read_exr, write_exr
 from .fragments import Fragments
@@ -34,6 +35,7 @@ from .splitting import ErrorPart, ErrorSplit, error_split
 from .stress_lab import stress, stress_cases
 
 __all__ = [
+    "Batch",
     "Camera",
     "Cost",
     "Diagnostics",
@@ -43,6 +45,7 @@ __all__ = [
     "Frame",
     "LoadWarning",
     "Mesh",
+    "Param",
     "ParamInfo",
     "Scene",
     "Stats",
@@ -52,6 +55,7 @@ __all__ = [
     "__version__",
     "capture",
     "compare",
+    "custom",
     "error_map",
     "error_split",
     "load",
@@ -62,8 +66,10 @@ __all__ = [
     "scenes",
     "stress",
     "stress_cases",
+    "technique",
     "techniques",
     "transmittance",
+    "unregister",
     "write_exr",
     "write_png",
 ]

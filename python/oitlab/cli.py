@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import importlib.util
 import json
 import os
 import re
@@ -53,6 +54,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     try:
         with _plain_warnings():
+            for name in options.imports:
+                _import(name)
             options.run(options)
             sys.stdout.flush()
     except BrokenPipeError:  # the reader of our output went away: `oitlab techniques | head`
@@ -144,6 +147,14 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="oitlab", description="The lab bench for order-independent transparency."
     )
+    parser.add_argument(
+        "--import",
+        dest="imports",
+        action="append",
+        default=[],
+        metavar="FILE.py|MODULE",
+        help="run this first: it registers techniques of your own; repeatable",
+    )
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     _add_render(commands)
     _add_compare(commands)
@@ -151,6 +162,22 @@ def _parser() -> argparse.ArgumentParser:
     _add_demo(commands)
     _stress_command.add(commands)
     return parser
+
+
+def _import(name: str) -> None:
+    """Import a module, or a file by its path, under its own name so that its functions can be sent elsewhere."""
+    if not name.endswith(".py"):
+        importlib.import_module(name)
+        return
+    path = Path(name).resolve()
+    if not path.is_file():
+        raise FileNotFoundError(f"--import: no file {name}")
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    if spec is None or spec.loader is None:
+        raise ImportError(f"--import: {name} is not a Python file")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules.setdefault(path.stem, module)
+    spec.loader.exec_module(module)
 
 
 def _add_render(commands: Any) -> None:

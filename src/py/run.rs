@@ -9,7 +9,7 @@ use super::scene::PyScene;
 use crate::Result;
 use crate::fragments::Fragments;
 use crate::render as core;
-use crate::render::{Options, Request, Source};
+use crate::render::{Options, Source};
 use crate::scene::Scene;
 use crate::technique::DepthComplexity;
 use crate::techniques::REGISTRY;
