@@ -48,7 +48,9 @@ def numba_over(batch: oitlab.Batch) -> tuple[Any, Any]:
 
 
 @numba.njit
-def mlab_kernel(offsets: Any, depth: Any, color: Any, alpha: Any, background: Any, layers: int, out: Any) -> None:
+def mlab_kernel(
+    offsets: Any, depth: Any, color: Any, alpha: Any, background: Any, layers: int, out: Any
+) -> None:
     nodes = np.empty((layers + 1, 5))  # depth, premultiplied colour, transmittance
     for p in range(len(offsets) - 1):
         held = 0

@@ -1,4 +1,4 @@
-"""What a technique of one's own is called with, and what it gives back, checked before it becomes an image."""
+"""What a technique of one's own is called with, and what it gives back, checked before it is an image."""
 
 from __future__ import annotations
 
@@ -51,8 +51,8 @@ class Batch:
     >>> def look(batch):
     ...     print(batch.offsets, batch.counts, batch.rows, batch.depth, batch.pixel.tolist())
     ...     return batch.background, np.ones(len(batch))
-    >>> fragments = oitlab.Fragments(width=3, height=1, offsets=[0, 2, 2, 3], depth=[4, 2, 3], alpha=[0.5] * 3,
-    ...     color=np.zeros((3, 3)), background=(0, 0, 0))
+    >>> fragments = oitlab.Fragments(width=3, height=1, offsets=[0, 2, 2, 3], depth=[4, 2, 3],
+    ...     alpha=[0.5] * 3, color=np.zeros((3, 3)), background=(0, 0, 0))
     >>> with oitlab.custom.temporary():
     ...     _ = oitlab.technique(look)
     ...     frame = oitlab.render(fragments, "look", threads=1)
@@ -162,9 +162,7 @@ class Call:
             return np.zeros(len(batch), np.uint64)
         dropped = np.asarray(given)
         if dropped.dtype.kind not in "iu" or dropped.shape != (len(batch),):
-            raise ValueError(
-                f"{self.technique}: dropped is {_described(given)}, not {len(batch)} integers"
-            )
+            raise ValueError(f"{self.technique}: dropped is {_described(given)}, not {len(batch)} integers")
         if (dropped < 0).any():
             row = int(np.flatnonzero(dropped < 0)[0])
             raise ValueError(

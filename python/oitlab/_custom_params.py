@@ -151,12 +151,14 @@ def declared(function: Callable[..., Any], params: Mapping[str, Any] | None) -> 
     Raises
     ------
     ValueError
-        A default that no parameter can have, a name that is taken, a parameter that the function does not take,
-        or one of the function's that has no value.
+        A default that no parameter can have, a name that is taken, a parameter that the function does not
+        take, or one of the function's that has no value.
     """
     keywords, takes_any = _keywords(function)
     if params is None:
-        params = {name: default for name, default in keywords.items() if default is not inspect.Parameter.empty}
+        params = {
+            name: default for name, default in keywords.items() if default is not inspect.Parameter.empty
+        }
     elif not isinstance(params, Mapping):
         raise ValueError(f"params must be a mapping of names to defaults, got {params!r}")
     table = {name: _param(name, default) for name, default in params.items()}
@@ -169,7 +171,9 @@ def declared(function: Callable[..., Any], params: Mapping[str, Any] | None) -> 
     return table
 
 
-def check_callable(function: Callable[..., Any], what: str, arguments: tuple[str, ...], names: Iterable[str]) -> None:
+def check_callable(
+    function: Callable[..., Any], what: str, arguments: tuple[str, ...], names: Iterable[str]
+) -> None:
     """Raise ValueError unless the function can be called with these arguments and keywords."""
     if not callable(function):
         raise ValueError(f"{what} must be a function, got {function!r}")
@@ -200,7 +204,9 @@ def _param(name: str, default: Any) -> Param:
     if name != SEED:
         return param
     if param.type != "int" or param.default != 0:
-        raise ValueError(f"params: seed is an integer >= 0 and 0 by default for every technique, got {default!r}")
+        raise ValueError(
+            f"params: seed is an integer >= 0 and 0 by default for every technique, got {default!r}"
+        )
     return Param(0, min=0, max=2**63 - 1)
 
 

@@ -21,9 +21,10 @@ def fingerprint(*values: Any) -> str:
 
     A function counts with its byte code, constants, defaults, what it closes over, and the globals that it
     names: data by value, functions and classes of its own package (or of `__main__`) in turn, everything else
-    by name and version. Comments, names of local variables and line numbers do not count. What cannot be seen: what is reached through an attribute of a module or by name at run time, files,
-    and objects that cannot be pickled, of which the type alone counts. Byte code is that of a Python version:
-    another version gives another hash.
+    by name and version. Comments, names of local variables and line numbers do not count. What cannot be
+    seen: what is reached through an attribute of a module or by name at run time, files, and objects that
+    cannot be pickled, of which the type alone counts. Byte code is that of a Python version: another version
+    gives another hash.
 
     Examples
     --------

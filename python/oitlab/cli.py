@@ -165,7 +165,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _import(name: str) -> None:
-    """Import a module, or a file by its path, under its own name so that its functions can be sent elsewhere."""
+    """Import a module, or a file by its path."""
     if not name.endswith(".py"):
         importlib.import_module(name)
         return
@@ -176,7 +176,6 @@ def _import(name: str) -> None:
     if spec is None or spec.loader is None:
         raise ImportError(f"--import: {name} is not a Python file")
     module = importlib.util.module_from_spec(spec)
-    sys.modules.setdefault(path.stem, module)
     spec.loader.exec_module(module)
 
 

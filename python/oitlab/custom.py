@@ -1,8 +1,9 @@
 """Techniques of your own: a Python function over the fragments of many pixels, registered beside the others.
 
-The function is called with a `Batch` of pixels and its params, and gives a colour and the background's share for
-each pixel. It is then a technique like any other: in `oitlab.techniques()`, `render`, `render_many`,
-`transmittance`, `order_sensitivity`, `error_split`, `stress` and the command line (`oitlab --import FILE`).
+The function is called with a `Batch` of pixels and its params, and gives a colour and the background's share
+for each pixel. It is then a technique like any other: in `oitlab.techniques()`, `render`, `render_many`,
+`transmittance`, `order_sensitivity`, `error_split`, `stress` and on the command line, where
+`oitlab --import FILE.py compare ...` runs the file that registers it.
 
 Examples
 --------
@@ -10,7 +11,7 @@ Nearest fragment first, each over what is behind it, one layer of all pixels at 
 
 >>> import numpy as np, oitlab
 >>> @oitlab.technique
-... def layered(batch, *, layers: int = 8):
+... def layered(batch, *, layers: int = 99):
 ...     '''The first fragments of each pixel, the rest dropped.'''
 ...     color, share = np.zeros((len(batch), 3)), np.ones(len(batch))
 ...     for k in range(min(layers, batch.counts.max())):
@@ -131,7 +132,9 @@ class Definition:
     def fingerprint(self) -> str:
         """Hash what decides the image."""
         names = (self.id, self.order, self.colored, sorted(self.promises.items()))
-        params = {name: (param.default, param.min, param.max, param.choices) for name, param in self.params.items()}
+        params = {
+            name: (param.default, param.min, param.max, param.choices) for name, param in self.params.items()
+        }
         return fingerprint(self.function, self.transmittance, params, *names)
 
     def entry(self) -> TechniqueInfo:
@@ -215,10 +218,10 @@ def technique(
 
     It is called once for a screen tile or some 4096 pixels of captured fragments (fewer where they are deep),
     from the renderer's threads, one at a time since Python's lock is held; numba functions may release it
-    (`nogil=True`). Pixels must not depend on what else is in the batch. Random numbers are best a hash of
-    `batch.pixel`, `batch.primitive` and `seed`. Exceptions reach the caller of `render`; rendering from within
-    the function is refused. A second function under the same id, as from a notebook cell that is run again,
-    takes the place of the first.
+    (`nogil=True`). A pixel must not depend on what else is in the batch. Random numbers are best a hash of
+    `batch.pixel`, `batch.primitive` and `seed`. Exceptions reach the caller of `render`; rendering from
+    within the function is refused. A second function under the same id, as from a notebook cell that is run
+    again, takes the place of the first.
 
     Parameters
     ----------
@@ -234,11 +237,11 @@ def technique(
     citation : iterable of str
         Keys of its sources.
     order : {"sorted", "submission"}
-        How a pixel's fragments come: nearest first by (depth, primitive), or as they were submitted, which the
-        parameter `submission_order` can change.
+        How a pixel's fragments come: nearest first by (depth, primitive), or as they were submitted, which
+        the parameter `submission_order` can change.
     transmittance : callable, optional
-        `transmittance(batch, depths, **params)`, for `oitlab.transmittance`: with a batch of one pixel and (D,)
-        float32 depths it gives (D,) floats in [0, 1], the share that is let through in front of each.
+        `transmittance(batch, depths, **params)`, for `oitlab.transmittance`: with a batch of one pixel and
+        (D,) float32 depths it gives (D,) floats in [0, 1], the share that is let through in front of each.
     colored_transmittance : bool
         Whether the background's share may differ between channels.
     order_independent, unbiased, consistent, exact_for_one, exact_for_one_color, exact_coverage : bool
@@ -484,6 +487,7 @@ def shippable(technique_id: str) -> Shipment:
     Parameters
     ----------
     technique_id : str
+        Under which it is registered.
 
     Returns
     -------
@@ -493,7 +497,7 @@ def shippable(technique_id: str) -> Shipment:
     Raises
     ------
     ValueError
-        No custom technique has this id, or it refers to something that cannot be pickled, such as an open file.
+        No custom technique has this id, or it refers to something that cannot be pickled, such as a lock.
 
     Examples
     --------
@@ -513,9 +517,7 @@ def shippable(technique_id: str) -> Shipment:
     try:
         payload = cloudpickle.dumps(definition)
     except Exception as error:  # whatever the objects that it refers to raise
-        raise ValueError(
-            f"technique {technique_id!r} cannot be sent to another process: {error}"
-        ) from error
+        raise ValueError(f"technique {technique_id!r} cannot be sent to another process: {error}") from error
     return Shipment(definition.id, definition.fingerprint(), payload)
 
 

@@ -74,11 +74,11 @@ class TechniqueInfo:
 
     @property
     def fingerprint(self) -> str | None:
-        """Hash of what a technique of one's own computes, None for a built-in one, which oitlab's version tells.
+        """Hash of what a technique of one's own computes; None for a built-in one.
 
-        The same in every process and after the function is defined again as it was; another one when its code,
-        what it closes over or a global that it names changes, or under another version of Python. It cannot
-        see what is reached through an attribute of a module, files, or what cannot be pickled.
+        The same in every process, and after the function is defined again as it was; another one when its
+        code, what it closes over or a global that it names changes, or under another version of Python. It
+        cannot see what is reached through an attribute of a module, files, or what cannot be pickled.
 
         Examples
         --------

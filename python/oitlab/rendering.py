@@ -12,8 +12,8 @@ import numpy as np
 from . import _oitlab
 from ._convert import count, flag
 from ._convert import params as python_params
-from .diagnostics import Diagnostics
 from .custom import Definition
+from .diagnostics import Diagnostics
 from .fragments import Fragments
 from .frame import Frame, Stats
 from .registry import techniques
@@ -125,12 +125,12 @@ def render_many(
     diagnosed = flag(diagnostics, "diagnostics")
     options = _threads(threads), flag(skip, "skip"), _is_float64(dtype)
     bound = [bind(*variant) for variant in requested]
-    variants = [(one.technique, one.params) for one in bound]
-    raws = _oitlab.render(source._handle, variants, *options)
+    jobs = [(one.technique, one.params) for one in bound]
+    raws = _oitlab.render(source._handle, jobs, *options)
     frames = [_frame(raw, one) for raw, one in zip(raws, bound, strict=True)]
     if not diagnosed:
         return frames
-    found = _oitlab.diagnose(source._handle, variants, options[0])
+    found = _oitlab.diagnose(source._handle, jobs, options[0])
     return [_diagnosed(frame, images) for frame, images in zip(frames, found, strict=True)]
 
 
