@@ -14,7 +14,7 @@ pub use capture::capture;
 pub use depth::{DepthImages, depth_images};
 pub use diagnose::{Diagnostics, diagnose};
 pub use inspect::{Transmittance, cost, order_sensitivity, transmittance};
-pub use request::{Make, Own, Request};
+pub use request::{Custom, Make, Request};
 
 use crate::error::{Error, Result};
 use crate::fragments::Fragments;

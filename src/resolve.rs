@@ -16,7 +16,7 @@ pub struct Variant {
     /// The technique's id.
     pub id: &'static str,
     /// What tells it from others if it was made outside of the core.
-    pub own: Option<String>,
+    pub custom: Option<String>,
     /// Its params, resolved; none if it was made outside, since they are bound already.
     pub params: Params,
     /// The technique itself.
@@ -28,7 +28,9 @@ pub struct Variant {
 impl Variant {
     /// Whether the two give the same image.
     pub fn is_same(&self, other: &Self) -> bool {
-        self.id == other.id && self.own == other.own && self.params.identity() == other.params.identity()
+        self.id == other.id
+            && self.custom == other.custom
+            && self.params.identity() == other.params.identity()
     }
 
     /// Whether the fragments are wanted nearest first, beside their submission order or instead.

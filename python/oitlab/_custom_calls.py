@@ -22,7 +22,8 @@ class Batch:
     Pixel p has the fragments `offsets[p]:offsets[p + 1]` of the arrays below, at least one: pixels without
     fragments are background without a call. They come nearest first by (depth, primitive), or in submission
     order where the technique was registered with `order="submission"`. Fragments that neither cover nor emit
-    are left out. Arrays are C-contiguous and read-only, as `numba.njit` functions take them.
+    are left out. Arrays are C-contiguous and read-only: `numba.njit` functions take them, those with an
+    explicit signature if it names read-only arrays.
 
     Attributes
     ----------

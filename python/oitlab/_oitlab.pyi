@@ -20,6 +20,7 @@ __all__ = [
     "diagnose",
     "order_sensitivity",
     "render",
+    "settle",
     "techniques",
     "transmittance",
 ]
@@ -189,4 +190,5 @@ def cost(
     depth_complexity_mean: float,
     depth_complexity_max: int,
 ) -> tuple[float, float]: ...
+def settle() -> None: ...
 def techniques() -> list[dict[str, Any]]: ...

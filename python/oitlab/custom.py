@@ -32,6 +32,7 @@ Nearest fragment first, each over what is behind it, one layer of all pixels at 
 
 from __future__ import annotations
 
+import atexit
 import inspect
 import math
 import pickle
@@ -48,6 +49,9 @@ from ._fingerprint import fingerprint
 from .registry import Cost, TechniqueInfo, register_entry, techniques, unregister_entry
 
 __all__ = ["Batch", "Param", "Shipment", "receive", "shippable", "technique", "temporary", "unregister"]
+
+# a worker in the middle of a technique, as Ctrl-C leaves it, must not find the interpreter gone
+atexit.register(_oitlab.settle)
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 Amount = float | Callable[[Mapping[str, Any], float, int], float]
@@ -89,6 +93,7 @@ class Definition:
 
     def bound(self, params: Mapping[str, Any]) -> _oitlab.CustomTechnique:
         """Give the technique to the core; `params` are resolved."""
+        self.cost(params, 1.0, 1)  # what it says wrong of itself is refused before any work starts
         acts = {**params} if self._is_random or params[ORDER] == "shuffled" else {**params, SEED: None}
         own = {name: params[name] for name in self.params}
         call = Call(self.id, self.function, own, self.colored)

@@ -295,8 +295,7 @@ def register_entry(entry: TechniqueInfo) -> None:
     global _registered
     taken = _built_in().get(entry.id)
     if taken is not None:
-        what = "id" if taken.id == entry.id else f"alias of {taken.id!r}"
-        raise ValueError(f"id: {entry.id!r} is the {what} of a built-in technique")
+        raise ValueError(f"id: {entry.id!r} is taken by the built-in technique {taken.id!r}")
     with _changes:
         entries = {other.id: other for other in techniques()}
         _registered = TechniqueTable({**entries, entry.id: entry}.values())

@@ -9,7 +9,7 @@ use crate::error::{Error, Result};
 use crate::fragments::{List, Lists};
 use crate::order::SubmissionOrder;
 use crate::params::View;
-use crate::render::{Own, Request};
+use crate::render::{Custom, Request};
 use crate::technique::{AnyTechnique, Batch, Cost, DepthComplexity, Pixel, Properties, Resolved, Streamed};
 use glam::DVec3;
 use numpy::{
@@ -21,11 +21,13 @@ use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
 use std::cell::Cell;
 use std::collections::BTreeSet;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
 
 /// A technique written in Python, with its params bound.
 #[pyclass(frozen, name = "CustomTechnique", module = "oitlab._oitlab")]
-pub struct PyTechnique(pub Own);
+pub struct PyTechnique(pub Custom);
 
 /// A technique as it is named: by its id, or itself if it is written in Python.
 #[derive(FromPyObject)]
@@ -44,7 +46,7 @@ impl Named<'_> {
     pub fn request(self, params: &Bound<'_, PyDict>) -> PyResult<Request> {
         Ok(match self {
             Self::Id(id) => (id, inputs(params)?).into(),
-            Self::Custom(technique) => Request::Own(technique.get().0.clone()),
+            Self::Custom(technique) => Request::Custom(technique.get().0.clone()),
         })
     }
 }
@@ -85,7 +87,7 @@ impl PyTechnique {
             Ok(Box::new(OnView { callables: Arc::clone(&callables), view: *view }))
         };
         let order = SubmissionOrder::from_name(submission_order, seed);
-        Self(Own { id: kept(id), identity, order, make: Arc::new(make) })
+        Self(Custom { id: kept(id), identity, order, make: Arc::new(make) })
     }
 }
 
@@ -125,15 +127,50 @@ pub fn refuse_within_technique() -> PyResult<()> {
     Ok(())
 }
 
+/// Workers that are in the interpreter or about to be, and whether the program is about to end. A thread that
+/// comes back to an interpreter that is gone takes the process with it.
+static VISITORS: AtomicUsize = AtomicUsize::new(0);
+static ENDS: AtomicBool = AtomicBool::new(false);
+
+/// A worker's stay in the interpreter.
+struct Visit;
+
+impl Visit {
+    /// None when the program is about to end.
+    fn begin() -> Option<Self> {
+        VISITORS.fetch_add(1, Ordering::SeqCst);
+        let visit = Self;
+        (!ENDS.load(Ordering::SeqCst)).then_some(visit)
+    }
+}
+
+impl Drop for Visit {
+    fn drop(&mut self) {
+        VISITORS.fetch_sub(1, Ordering::SeqCst);
+    }
+}
+
+/// Lets no more workers into the interpreter and waits for those that are there, such as those that an interrupted
+/// render left behind in the middle of a technique. To be called when the program ends.
+#[pyfunction]
+pub fn settle(py: Python<'_>) -> PyResult<()> {
+    ENDS.store(true, Ordering::SeqCst);
+    while VISITORS.load(Ordering::SeqCst) > 0 {
+        py.detach(|| std::thread::sleep(Duration::from_millis(5)));
+        py.check_signals()?;
+    }
+    Ok(())
+}
+
 /// Runs `call` attached to the interpreter, on a thread that is marked as being in a technique.
 fn attached<T>(call: impl FnOnce(Python<'_>) -> PyResult<T>) -> Result<T> {
+    let Some(_visit) = Visit::begin() else { return Err(Error::Cancelled) };
     let marked = |py: Python<'_>| {
         let before = RESOLVES.replace(true);
         let result = call(py);
         RESOLVES.set(before);
         result.map_err(Error::raised)
     };
-    // there is no interpreter any more where a worker outlives an interrupted program
     Python::try_attach(marked).unwrap_or(Err(Error::Cancelled))
 }
 

@@ -17,7 +17,7 @@ mod extension {
     use pyo3::prelude::*;
 
     #[pymodule_export]
-    use super::custom::PyTechnique;
+    use super::custom::{PyTechnique, settle};
     #[pymodule_export]
     use super::fragments::PyFragments;
     #[pymodule_export]

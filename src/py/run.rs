@@ -207,7 +207,8 @@ pub fn transmittance<'py>(
     };
     let x = u32::try_from(pixel.0).map_err(outside)?;
     let y = u32::try_from(pixel.1).map_err(outside)?;
-    let found = core::transmittance(fragments, &request, (x, y), contiguous("depths", &depths)?)?;
+    let depths = contiguous("depths", &depths)?.to_vec();
+    let found = py.detach(|| core::transmittance(fragments, &request, (x, y), &depths))?;
     Ok([PyArray1::from_vec(py, found.exact), PyArray1::from_vec(py, found.reconstructed)])
 }
 

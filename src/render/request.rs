@@ -15,7 +15,7 @@ pub type Make = dyn Fn(&View) -> Result<Box<dyn AnyTechnique>> + Send + Sync;
 
 /// A technique that the registry does not have, its params bound.
 #[derive(Clone)]
-pub struct Own {
+pub struct Custom {
     /// Its id.
     pub id: &'static str,
     /// What tells it from others of the same id: two that have the same are rendered once.
@@ -32,12 +32,15 @@ pub enum Request {
     /// A technique's id with its params, as the user writes them.
     Registered(String, Vec<(String, Input)>),
     /// A technique that the caller brings.
-    Own(Own),
+    Custom(Custom),
 }
 
-impl fmt::Debug for Own {
+impl fmt::Debug for Custom {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Own").field("id", &self.id).field("identity", &self.identity).finish_non_exhaustive()
+        f.debug_struct("Custom")
+            .field("id", &self.id)
+            .field("identity", &self.identity)
+            .finish_non_exhaustive()
     }
 }
 
@@ -50,7 +53,7 @@ impl From<(String, Vec<(String, Input)>)> for Request {
 /// A request that is known to be in order.
 pub(super) enum Asked {
     Registered(&'static Info, Checked),
-    Own(Own),
+    Custom(Custom),
 }
 
 impl Request {
@@ -61,7 +64,7 @@ impl Request {
                 let info = find(id)?;
                 Asked::Registered(info, check(info.id, &info.param_table(), params)?)
             }
-            Self::Own(own) => Asked::Own(own.clone()),
+            Self::Custom(custom) => Asked::Custom(custom.clone()),
         })
     }
 }
@@ -71,7 +74,7 @@ impl Asked {
     pub(super) fn bind(&self, view: &View) -> Result<Variant> {
         let variant = match self {
             Self::Registered(info, checked) => registered(info, checked, view)?,
-            Self::Own(own) => brought(own, view)?,
+            Self::Custom(custom) => brought(custom, view)?,
         };
         let state = variant.technique.cost(&DepthComplexity { mean: 1.0, max: 1 }).bytes_per_pixel;
         if state > LARGEST_STATE {
@@ -87,11 +90,17 @@ fn registered(info: &'static Info, checked: &Checked, view: &View) -> Result<Var
     let technique = (info.build)(&params, view)?;
     let seed = u64::try_from(params.int("seed")).unwrap_or(0);
     let order = SubmissionOrder::from_name(params.text("submission_order"), seed);
-    Ok(Variant { id: info.id, own: None, params, technique, order })
+    Ok(Variant { id: info.id, custom: None, params, technique, order })
 }
 
-fn brought(own: &Own, view: &View) -> Result<Variant> {
-    let params = check(own.id, &[], &[])?.resolve(&[], view);
-    let technique = (own.make)(view)?;
-    Ok(Variant { id: own.id, own: Some(own.identity.clone()), params, technique, order: own.order })
+fn brought(custom: &Custom, view: &View) -> Result<Variant> {
+    let params = check(custom.id, &[], &[])?.resolve(&[], view);
+    let technique = (custom.make)(view)?;
+    Ok(Variant {
+        id: custom.id,
+        custom: Some(custom.identity.clone()),
+        params,
+        technique,
+        order: custom.order,
+    })
 }
