@@ -170,7 +170,7 @@ impl Resolver {
         let Self { reorderer, kept, sorted, sorted_kept, reordered, .. } = self;
         let prepared = prepare(batch, variant.wants_sorted(), reorderer, [kept, sorted, sorted_kept]);
         let (lists, sorted) = submitted(variant, &prepared, centroids, reorderer, reordered);
-        variant.technique.transmittance(&Batch { lists, sorted, ..*batch }.pixel(0), depths)
+        variant.technique.try_transmittance(&Batch { lists, sorted, ..*batch }.pixel(0), depths)
     }
 
     /// What went wrong with the numbers of `variant` at each pixel of `batch`.

@@ -235,10 +235,14 @@ pub trait AnyTechnique: Send + Sync {
         false
     }
     /// See [`Technique::transmittance`].
+    fn transmittance(&self, pixel: &Pixel<'_>, depths: &[f32]) -> Option<Vec<f64>>;
+    /// The same, of a technique that can fail.
     ///
     /// # Errors
     /// Only those of a technique that was made outside of the core.
-    fn transmittance(&self, pixel: &Pixel<'_>, depths: &[f32]) -> Result<Option<Vec<f64>>>;
+    fn try_transmittance(&self, pixel: &Pixel<'_>, depths: &[f32]) -> Result<Option<Vec<f64>>> {
+        Ok(self.transmittance(pixel, depths))
+    }
     /// See [`Technique::faults`].
     fn faults(&self) -> Faults;
     /// See [`Technique::diagnose`].
@@ -276,8 +280,8 @@ impl<T: Technique> AnyTechnique for T {
     fn colored_transmittance(&self) -> bool {
         T::COLORED_TRANSMITTANCE
     }
-    fn transmittance(&self, pixel: &Pixel<'_>, depths: &[f32]) -> Result<Option<Vec<f64>>> {
-        Ok(Technique::transmittance(self, pixel, depths, &mut T::Scratch::default()))
+    fn transmittance(&self, pixel: &Pixel<'_>, depths: &[f32]) -> Option<Vec<f64>> {
+        Technique::transmittance(self, pixel, depths, &mut T::Scratch::default())
     }
     fn faults(&self) -> Faults {
         Technique::faults(self)

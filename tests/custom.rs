@@ -71,7 +71,10 @@ impl AnyTechnique for Over {
     fn wants_large_batches(&self) -> bool {
         true
     }
-    fn transmittance(&self, pixel: &Pixel<'_>, depths: &[f32]) -> Result<Option<Vec<f64>>> {
+    fn transmittance(&self, pixel: &Pixel<'_>, depths: &[f32]) -> Option<Vec<f64>> {
+        self.try_transmittance(pixel, depths).ok().flatten()
+    }
+    fn try_transmittance(&self, pixel: &Pixel<'_>, depths: &[f32]) -> Result<Option<Vec<f64>>> {
         let Resolved { transmittance, .. } = self.pixel(pixel)?;
         Ok(Some(vec![transmittance.x; depths.len()]))
     }
@@ -133,13 +136,7 @@ fn it_gives_the_same_bits_from_a_scene_a_capture_and_without_skips() {
         let requests = [own("", sorted, usize::MAX, &calls)];
         let plain = frames_with(Source::Scene(&scene), &requests, &Options::default()).remove(0);
         let captured = frames_with(Source::Fragments(&fragments), &requests, &Options::default()).remove(0);
-        let full = Options {
-            skip: false,
-            threads: Some(3),
-            tile_size: 16,
-            max_fragments: 500,
-            ..Options::default()
-        };
+        let full = Options { skip: false, threads: Some(3), tile_size: 16, max_fragments: 500 };
         let parts = frames_with(Source::Scene(&scene), &requests, &full).remove(0);
         assert_same(&plain, &captured);
         assert_same(&plain, &parts);

@@ -1,5 +1,6 @@
 """`oitlab.technique`: functions of one's own beside the built-in techniques."""
 
+import functools
 import io
 import json
 import pickle
@@ -686,6 +687,25 @@ def test_functions_that_cannot_be_called_are_refused() -> None:
         oitlab.technique(3)  # type: ignore[call-overload]
 
 
+def test_any_callable_will_do(fragments: oitlab.Fragments) -> None:
+    class Level:
+        """Not the technique's docstring."""
+
+        def __call__(self, batch: oitlab.Batch, *, level: float = 0.25) -> tuple[Any, Any]:
+            return constant(batch, level=level)
+
+    oitlab.technique(id="by_partial")(functools.partial(constant, level=0.75))
+    oitlab.technique(id="by_object")(Level())
+    one, two = oitlab.render_many(fragments, ["by_partial", ("by_object", {"level": 0.5})])
+    assert (one.color[0, 0, 0], two.color[0, 0, 0]) == (0.75, 0.5)
+    assert one.params["level"] == 0.75
+    for name in ("by_partial", "by_object"):
+        assert oitlab.techniques()[name].doc == ""
+        assert custom.receive(custom.shippable(name)) == name
+    with pytest.raises(ValueError, match="id must be a name of letters"):
+        oitlab.technique(Level())
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -797,8 +817,11 @@ def test_a_fingerprint_follows_what_the_function_computes() -> None:
         of(base.replace("0.5", "LEVEL[0]") + helper, LEVEL=np.array([0.25])),
         of(base.replace("0.5", "LEVEL['a']") + helper, LEVEL={"a": 0.5}),
         of(base.replace("0.5", "LEVEL['a']") + helper, LEVEL={"a": 0.25}),
+        of(base + "class Half:\n  k = 0.5\n  def __call__(self, batch): return self.k\nhalf = Half()\n"),
+        of(base + "class Half:\n  k = 0.25\n  def __call__(self, batch): return self.k\nhalf = Half()\n"),
+        of(base + "class Half:\n  k = 0.5\n  def __call__(self, batch): return -self.k\nhalf = Half()\n"),
     }
-    assert len(changes) == 11
+    assert len(changes) == 14
 
 
 def test_a_fingerprint_follows_numba_and_options() -> None:

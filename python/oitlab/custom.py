@@ -371,7 +371,7 @@ def _defined(
         geometry_passes=geometry_passes,
         bytes_per_pixel=bytes_per_pixel,
         citation=_citation(chosen, citation),
-        doc=_text(chosen, "doc", (inspect.getdoc(function) or "") if doc is None else doc),
+        doc=_text(chosen, "doc", _docstring(function) if doc is None else doc),
         axes=_all_axes(chosen, axes),
     )
 
@@ -385,6 +385,12 @@ def _with_id(technique: str, check: Callable[[], _T]) -> _T:
         return check()
     except ValueError as error:
         raise ValueError(f"{technique}: {error}") from None
+
+
+def _docstring(function: Callable[..., Any]) -> str:
+    """Give a function's docstring, but not that of the class of a callable object, such as `partial`'s."""
+    inherited = function.__doc__ is type(function).__doc__
+    return "" if inherited else inspect.getdoc(function) or ""
 
 
 def _text(technique: str, key: str, value: Any) -> str:

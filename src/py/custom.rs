@@ -266,7 +266,10 @@ impl AnyTechnique for OnView {
     fn wants_large_batches(&self) -> bool {
         true
     }
-    fn transmittance(&self, pixel: &Pixel<'_>, depths: &[f32]) -> Result<Option<Vec<f64>>> {
+    fn transmittance(&self, pixel: &Pixel<'_>, depths: &[f32]) -> Option<Vec<f64>> {
+        self.try_transmittance(pixel, depths).ok().flatten()
+    }
+    fn try_transmittance(&self, pixel: &Pixel<'_>, depths: &[f32]) -> Result<Option<Vec<f64>>> {
         let Some(function) = &self.callables.transmittance else { return Ok(None) };
         let list = self.list(pixel);
         if list.is_empty() {
