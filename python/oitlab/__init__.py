@@ -20,8 +20,9 @@ True
 from typing import TYPE_CHECKING as _TYPE_CHECKING
 from typing import Any as _Any
 
-from . import scenes
+from . import custom, scenes
 from ._oitlab import __version__
+from .custom import Batch, Param, technique, unregister
 from .diagnostics import Diagnostics
 from .exr import read_exr, write_exr
 from .fragments import Fragments
@@ -41,6 +42,7 @@ if _TYPE_CHECKING:
     from .sweeping import SweepFailed, SweepInterrupted, read_study, sweep, to_xarray
 
 __all__ = [
+    "Batch",
     "Camera",
     "Cost",
     "Diagnostics",
@@ -50,6 +52,7 @@ __all__ = [
     "Frame",
     "LoadWarning",
     "Mesh",
+    "Param",
     "ParamInfo",
     "Scene",
     "Stats",
@@ -61,6 +64,7 @@ __all__ = [
     "__version__",
     "capture",
     "compare",
+    "custom",
     "error_map",
     "error_split",
     "load",
@@ -74,9 +78,11 @@ __all__ = [
     "stress",
     "stress_cases",
     "sweep",
+    "technique",
     "techniques",
     "to_xarray",
     "transmittance",
+    "unregister",
     "write_exr",
     "write_png",
 ]

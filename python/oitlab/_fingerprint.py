@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+_NOT_COMPUTED = ("__module__", "__doc__", "__firstlineno__", "__qualname__")
 _ATOMS = (type(None), bool, int, float, complex, str, bytes, type(Ellipsis))
 
 
@@ -169,7 +170,7 @@ class _Writer:
             return
         for name, member in sorted(vars(kind).items()):
             unwrapped = getattr(member, "__func__", getattr(member, "fget", member))
-            if isinstance(unwrapped, types.FunctionType | _ATOMS) and name not in ("__module__", "__doc__"):
+            if isinstance(unwrapped, (types.FunctionType, *_ATOMS)) and name not in _NOT_COMPUTED:
                 self._tag("member", name)
                 self.value(unwrapped)
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import importlib.util
 import os
 import sys
 import warnings
@@ -52,6 +53,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     try:
         with _plain_warnings():
+            for name in options.imports:
+                _import(name)
             options.run(options)
             sys.stdout.flush()
     except BrokenPipeError:  # the reader of our output went away: `oitlab techniques | head`
@@ -69,6 +72,14 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="oitlab", description="The lab bench for order-independent transparency."
     )
+    parser.add_argument(
+        "--import",
+        dest="imports",
+        action="append",
+        default=[],
+        metavar="FILE.py|MODULE",
+        help="run this first: it registers techniques of your own; repeatable",
+    )
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     _add_render(commands)
     _add_compare(commands)
@@ -77,6 +88,21 @@ def _parser() -> argparse.ArgumentParser:
     _stress_command.add(commands)
     _sweep_command.add(commands)
     return parser
+
+
+def _import(name: str) -> None:
+    """Import a module, or a file by its path."""
+    if not name.endswith(".py"):
+        importlib.import_module(name)
+        return
+    path = Path(name).resolve()
+    if not path.is_file():
+        raise FileNotFoundError(f"--import: no file {name}")
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    if spec is None or spec.loader is None:
+        raise ImportError(f"--import: {name} is not a Python file")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
 
 
 def _add_render(commands: Any) -> None:

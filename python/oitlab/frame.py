@@ -24,7 +24,7 @@ class Stats:
 
     Times are wall-clock milliseconds; `raster_ms` covers the one rasterisation that all frames of a
     `render_many` call share. `geometry_passes` and `bytes_per_pixel` describe a streaming GPU implementation
-    of the technique, not this renderer.
+    of the technique, not this renderer; NaN where a technique of one's own does not say.
     """
 
     total_ms: float

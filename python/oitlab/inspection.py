@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from . import _oitlab
 from ._convert import array, count, integer
 from .fragments import Fragments
-from .rendering import capture, checked_variant
+from .rendering import Bound, bind, capture, checked_variant
 from .scene import Scene
 
 
@@ -84,8 +84,9 @@ def transmittance(
         where = _steps(fragments.pixel(*place)["depth"])
     else:
         where = array(depths, "depths", np.float32, ("N",))
+    bound = _bound(technique, params)
     exact, reconstructed = _oitlab.transmittance(
-        fragments._handle, *checked_variant((technique, params)), place, where
+        fragments._handle, bound.technique, bound.params, place, where
     )
     return Transmittance(where, exact, reconstructed)
 
@@ -143,9 +144,17 @@ def order_sensitivity(
     """
     fragments = _fragments(source)
     workers = None if threads is None else count(threads, "threads")
-    variant = checked_variant((technique, params))
+    bound = _bound(technique, params)
+    if bound.definition is not None and "submission_order" in (params or {}):
+        raise ValueError("params: submission_order is what order_sensitivity varies")
     shuffles, first = count(n, "n"), count(seed, "seed", bits=64)
-    return _oitlab.order_sensitivity(fragments._handle, *variant, shuffles, first, workers)
+    return _oitlab.order_sensitivity(
+        fragments._handle, bound.technique, bound.params, shuffles, first, workers
+    )
+
+
+def _bound(technique: str, params: Mapping[str, Any] | None) -> Bound:
+    return bind(*checked_variant((technique, params)))
 
 
 def _fragments(source: Scene | Fragments) -> Fragments:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -11,6 +12,7 @@ import numpy as np
 from . import _oitlab
 from ._convert import count, flag
 from ._convert import params as python_params
+from .custom import Definition
 from .diagnostics import Diagnostics
 from .fragments import Fragments
 from .frame import Frame, Stats
@@ -122,10 +124,13 @@ def render_many(
     _check_backend(backend, requested)
     diagnosed = flag(diagnostics, "diagnostics")
     options = _threads(threads), flag(skip, "skip"), _is_float64(dtype)
-    frames = [_frame(raw) for raw in _oitlab.render(source._handle, requested, *options)]
+    bound = [bind(*variant) for variant in requested]
+    jobs = [(one.technique, one.params) for one in bound]
+    raws = _oitlab.render(source._handle, jobs, *options)
+    frames = [_frame(raw, one) for raw, one in zip(raws, bound, strict=True)]
     if not diagnosed:
         return frames
-    found = _oitlab.diagnose(source._handle, requested, options[0])
+    found = _oitlab.diagnose(source._handle, jobs, options[0])
     return [_diagnosed(frame, images) for frame, images in zip(frames, found, strict=True)]
 
 
@@ -169,6 +174,28 @@ def checked_variant(variant: Variant) -> tuple[str, dict[str, Any]]:
     return technique, python_params(params, technique)
 
 
+@dataclass(frozen=True, slots=True)
+class Bound:
+    """A variant as the core takes it."""
+
+    technique: str | _oitlab.CustomTechnique
+    params: dict[str, Any]
+    """As requested; complete for a technique of one's own."""
+    definition: Definition | None = None
+
+
+def bind(technique: str, params: dict[str, Any]) -> Bound:
+    """Find a technique of one's own under the id and check its params; others are the core's business."""
+    entry = techniques().get(technique)
+    if entry is None:
+        known = ", ".join(techniques().ids)
+        raise ValueError(f'unknown technique "{technique}"; the techniques are {known}')
+    if entry.definition is None:
+        return Bound(technique, params)
+    resolved = entry.definition.resolved(params)
+    return Bound(entry.definition.bound(resolved), resolved, entry.definition)
+
+
 def _check_backend(backend: str, variants: Iterable[tuple[str, dict[str, Any]]]) -> None:
     if backend not in ("cpu", "gpu"):
         raise ValueError(f"unknown backend {backend!r}; known: cpu, gpu")
@@ -199,14 +226,25 @@ def _diagnosed(frame: Frame, images: dict[str, Any]) -> Frame:
     return frame.replace(stats=stats, diagnostics=diagnostics)
 
 
-def _frame(raw: _oitlab.Frame) -> Frame:
+def _frame(raw: _oitlab.Frame, bound: Bound) -> Frame:
+    stats = Stats(**raw.stats)
+    if bound.definition is not None:
+        stats = _with_cost(stats, bound.definition, bound.params)
     return Frame(
         color=lambda: raw.color,
         transmittance=lambda: raw.transmittance,
         technique=raw.technique,
-        params=raw.params,
+        params=raw.params if bound.definition is None else bound.params,
         scene_hash=lambda: raw.source_hash,
-        stats=Stats(**raw.stats),
+        stats=stats,
         first_depth=lambda: raw.first_depth,
         fragment_count=lambda: raw.fragment_count,
+    )
+
+
+def _with_cost(stats: Stats, definition: Definition, params: Mapping[str, Any]) -> Stats:
+    """Fill in what the core cannot know: what a technique of one's own says of itself."""
+    cost = definition.cost(params, stats.depth_complexity_mean, stats.depth_complexity_max)
+    return dataclasses.replace(
+        stats, geometry_passes=cost.geometry_passes, bytes_per_pixel=cost.bytes_per_pixel
     )

@@ -3,6 +3,7 @@
 
 mod arrays;
 mod convert;
+mod custom;
 mod fragments;
 mod frame;
 mod run;
@@ -15,6 +16,8 @@ use pyo3::prelude::*;
 mod extension {
     use pyo3::prelude::*;
 
+    #[pymodule_export]
+    use super::custom::{PyTechnique, settle};
     #[pymodule_export]
     use super::fragments::PyFragments;
     #[pymodule_export]
@@ -35,6 +38,10 @@ impl From<crate::Error> for PyErr {
     fn from(error: crate::Error) -> Self {
         match error {
             crate::Error::Cancelled => pyo3::exceptions::PyKeyboardInterrupt::new_err(error.to_string()),
+            crate::Error::Raised(raised) => raised.0.downcast_ref::<Self>().map_or_else(
+                || pyo3::exceptions::PyRuntimeError::new_err(raised.to_string()),
+                |error| Python::attach(|py| error.clone_ref(py)),
+            ),
             crate::Error::Memory(_) => pyo3::exceptions::PyMemoryError::new_err(error.to_string()),
             error => pyo3::exceptions::PyValueError::new_err(error.to_string()),
         }

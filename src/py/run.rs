@@ -2,13 +2,14 @@
 
 use super::arrays::contiguous;
 use super::convert::{info, inputs};
+use super::custom::{Named, refuse_within_technique};
 use super::fragments::PyFragments;
 use super::frame::PyFrame;
 use super::scene::PyScene;
 use crate::Result;
 use crate::fragments::Fragments;
 use crate::render as core;
-use crate::render::{Options, Request, Source};
+use crate::render::{Options, Source};
 use crate::scene::Scene;
 use crate::technique::DepthComplexity;
 use crate::techniques::REGISTRY;
@@ -85,6 +86,7 @@ fn interruptible<T: Send + 'static>(
     py: Python<'_>,
     work: impl FnOnce(&(dyn Fn() -> bool + Sync)) -> Result<T> + Send + 'static,
 ) -> PyResult<T> {
+    refuse_within_technique()?;
     let stop = Arc::new(AtomicBool::new(false));
     let stopped = Arc::clone(&stop);
     let (sender, receiver) = channel();
@@ -129,14 +131,14 @@ fn options(threads: Option<i64>, skip: bool) -> Result<Options> {
 pub fn render<'py>(
     py: Python<'py>,
     source: &Bound<'py, PyAny>,
-    variants: Vec<(String, Bound<'py, PyDict>)>,
+    variants: Vec<(Named<'py>, Bound<'py, PyDict>)>,
     threads: Option<i64>,
     skip: bool,
     float64: bool,
 ) -> PyResult<Vec<PyFrame>> {
     let source = AnySource::extract(source)?;
-    let requests: Vec<Request> =
-        variants.into_iter().map(|(id, params)| Ok((id, inputs(&params)?))).collect::<PyResult<_>>()?;
+    let requests = variants.into_iter().map(|(named, params)| named.request(&params));
+    let requests = requests.collect::<PyResult<Vec<_>>>()?;
     let options = options(threads, skip)?;
     let shared = source.share();
     let frames = interruptible(py, move |stop| {
@@ -151,12 +153,12 @@ pub fn render<'py>(
 pub fn diagnose<'py>(
     py: Python<'py>,
     source: &Bound<'py, PyAny>,
-    variants: Vec<(String, Bound<'py, PyDict>)>,
+    variants: Vec<(Named<'py>, Bound<'py, PyDict>)>,
     threads: Option<i64>,
 ) -> PyResult<Vec<Bound<'py, PyDict>>> {
     let source = AnySource::extract(source)?;
-    let requests: Vec<Request> =
-        variants.into_iter().map(|(id, params)| Ok((id, inputs(&params)?))).collect::<PyResult<_>>()?;
+    let requests = variants.into_iter().map(|(named, params)| named.request(&params));
+    let requests = requests.collect::<PyResult<Vec<_>>>()?;
     let options = options(threads, true)?;
     let shape = source.shape();
     let found = interruptible(py, move |stop| core::diagnose(source.as_source(), &requests, &options, stop))?;
@@ -191,12 +193,13 @@ pub fn capture(py: Python<'_>, scene: &Bound<'_, PyScene>, threads: Option<i64>)
 pub fn transmittance<'py>(
     py: Python<'py>,
     fragments: &Bound<'py, PyFragments>,
-    technique: String,
+    technique: Named<'py>,
     params: &Bound<'py, PyDict>,
     pixel: (i64, i64),
     depths: PyReadonlyArray1<'py, f32>,
 ) -> PyResult<[Bound<'py, PyArray1<f64>>; 2]> {
-    let request = (technique, inputs(params)?);
+    let request = technique.request(params)?;
+    refuse_within_technique()?;
     let fragments = &fragments.get().0;
     let outside = |_| {
         let problem = format!("{pixel:?} is not in the image of {} x {}", fragments.width, fragments.height);
@@ -204,7 +207,8 @@ pub fn transmittance<'py>(
     };
     let x = u32::try_from(pixel.0).map_err(outside)?;
     let y = u32::try_from(pixel.1).map_err(outside)?;
-    let found = core::transmittance(fragments, &request, (x, y), contiguous("depths", &depths)?)?;
+    let depths = contiguous("depths", &depths)?.to_vec();
+    let found = py.detach(|| core::transmittance(fragments, &request, (x, y), &depths))?;
     Ok([PyArray1::from_vec(py, found.exact), PyArray1::from_vec(py, found.reconstructed)])
 }
 
@@ -213,13 +217,13 @@ pub fn transmittance<'py>(
 pub fn order_sensitivity<'py>(
     py: Python<'py>,
     fragments: &Bound<'py, PyFragments>,
-    technique: String,
+    technique: Named<'py>,
     params: &Bound<'py, PyDict>,
     n: i64,
     seed: u64,
     threads: Option<i64>,
 ) -> PyResult<Bound<'py, PyAny>> {
-    let request = (technique, inputs(params)?);
+    let request = technique.request(params)?;
     let options = options(threads, true)?;
     let fragments = Arc::clone(&fragments.get().0);
     let shape = [fragments.height as usize, fragments.width as usize];
@@ -239,7 +243,7 @@ pub fn cost(
     depth_complexity_max: usize,
 ) -> PyResult<(f64, f64)> {
     let complexity = DepthComplexity { mean: depth_complexity_mean, max: depth_complexity_max };
-    let cost = core::cost(&(technique, inputs(params)?), &complexity)?;
+    let cost = core::cost(&(technique, inputs(params)?).into(), &complexity)?;
     Ok((cost.geometry_passes, cost.bytes_per_pixel))
 }
 
