@@ -135,7 +135,8 @@ fn bind(info: &'static Info, checked: &Checked, view: &View) -> Result<Variant> 
     }
     let seed = u64::try_from(params.int("seed")).unwrap_or(0);
     let order = SubmissionOrder::from_name(params.text("submission_order"), seed);
-    Ok(Variant { info, params, technique, order })
+    let calls_out = params.call_out();
+    Ok(Variant { info, params, technique, order, calls_out })
 }
 
 /// A render with everything decided: each different variant once, and which of them answers which request.
@@ -346,6 +347,7 @@ impl<'a> Job<'a> {
             geometry_passes: cost.geometry_passes,
             bytes_per_pixel: cost.bytes_per_pixel,
             dropped: variant.dropped,
+            invalid_weights: variant.invalid_weights + self.variants[index].params.reports().invalid(),
             skipped: vec![
                 ("empty_tiles", tally.empty_tiles),
                 ("empty_pixels", tally.empty_pixels),

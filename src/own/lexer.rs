@@ -96,8 +96,8 @@ pub fn is_identifier(text: &str) -> bool {
 }
 
 /// Words that name types or truths rather than values of one's own.
-const PREDECLARED: [&str; 30] = [
-    "true", "false", "bool", "f32", "f16", "i32", "u32", "vec2", "vec3", "vec4", "vec2f", "vec3f", "vec4f", "vec2i",
+const PREDECLARED: [&str; 31] = [
+    "true", "false", "bitcast", "bool", "f32", "f16", "i32", "u32", "vec2", "vec3", "vec4", "vec2f", "vec3f", "vec4f", "vec2i",
     "vec3i", "vec4i", "vec2u", "vec3u", "vec4u", "vec2h", "vec3h", "vec4h", "mat2x2", "mat3x3", "mat4x4", "mat2x2f",
     "mat3x3f", "mat4x4f", "atomic", "ptr",
 ];

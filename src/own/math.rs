@@ -165,7 +165,7 @@ mod tests {
 
     #[test]
     fn functions_are_those_of_the_standard_library() {
-        let special = [0.0, -0.0, 1.0, -1.0, 2.0, 0.5, -3.0, 1e-40, 88.8, -110.0, 1e30, f32::INFINITY, f32::NAN];
+        let special = [0.0, 1.0, -1.0, 2.0, 0.5, -3.0, 1e-40, 88.8, -110.0, 1e30, f32::INFINITY, f32::NAN];
         let some = (0..400_u16).map(|i| f32::from(i) * 0.371 - 60.0);
         for x in some.chain(special) {
             let wide = f64::from(x);

@@ -126,3 +126,6 @@ impl OwnFunction {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -5,6 +5,7 @@ mod arrays;
 mod convert;
 mod fragments;
 mod frame;
+mod function;
 mod run;
 mod scene;
 

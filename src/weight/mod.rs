@@ -296,7 +296,10 @@ impl Weighting {
         }
     }
 
-    /// [`Weighting::evaluate`] for the caller's instruction set.
+    /// [`Weighting::evaluate`] of a published weight for the caller's instruction set.
+    ///
+    /// # Panics
+    /// If the weight is somebody's own.
     #[inline(always)]
     #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
     pub fn evaluate_here(&self, depth: &[f32], alpha: &[f32], weights: &mut Vec<f32>) {
@@ -305,13 +308,24 @@ impl Weighting {
                 weights.resize(depth.len(), 0.0);
                 formula.weigh(&Fragments { seen: self.seen, depth, alpha }, weights);
             }
-            Function::Own(_) => self.evaluate(depth, alpha, weights),
+            Function::Own(_) => panic!("a weight of somebody's own is evaluated for many fragments at once"),
         }
     }
 
     /// The weight of every fragment, in `weights`, which is resized to fit. What is no weight is reported.
     pub fn evaluate(&self, depth: &[f32], alpha: &[f32], weights: &mut Vec<f32>) {
-        let invalid = self.evaluate_counted(depth, alpha, weights, |_| 1);
+        self.evaluate_for(depth, alpha, weights, |_| true);
+    }
+
+    /// The same, where only some fragments' weights are used and to be reported about.
+    pub fn evaluate_for(
+        &self,
+        depth: &[f32],
+        alpha: &[f32],
+        weights: &mut Vec<f32>,
+        is_used: impl Fn(usize) -> bool,
+    ) {
+        let invalid = self.evaluate_counted(depth, alpha, weights, |i| is_used(i).into());
         if let Function::Own(own) = &self.function {
             own.report(invalid);
         }
