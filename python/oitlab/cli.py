@@ -10,7 +10,6 @@ import argparse
 import contextlib
 import json
 import os
-import re
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
@@ -87,8 +86,10 @@ def parse_variant(text: str) -> tuple[str, dict[str, Any]]:
     --------
     >>> parse_variant("lwboit:bins=64:bin_function=tent")
     ('lwboit', {'bins': 64, 'bin_function': 'tent'})
+    >>> parse_variant("wboit:weight=fn weight(z: f32) -> f32 { return exp(-z); }")
+    ('wboit', {'weight': 'fn weight(z: f32) -> f32 { return exp(-z); }'})
     """
-    technique, *settings = text.split(":")
+    technique, *settings = _split(text, ":")
     return technique.strip(), dict(map(parse_param, settings))
 
 
@@ -136,8 +137,22 @@ def split_variants(text: str) -> list[str]:
     --------
     >>> split_variants("wboit,opacity_shadow_maps:range=[1,2]:bins=8")
     ['wboit', 'opacity_shadow_maps:range=[1,2]:bins=8']
+    >>> split_variants("a_buffer,wboit:weight=max(a, 0.1) / z")
+    ['a_buffer', 'wboit:weight=max(a, 0.1) / z']
     """
-    return re.split(r",(?![^\[\]]*\])", text)
+    return _split(text, ",")
+
+
+def _split(text: str, mark: str) -> list[str]:
+    """Split at a mark outside all kinds of brackets."""
+    parts, depth = [""], 0
+    for character in text:
+        depth = max(0, depth + (character in "([{") - (character in ")]}"))
+        if character == mark and depth == 0:
+            parts.append("")
+        else:
+            parts[-1] += character
+    return parts
 
 
 def _parser() -> argparse.ArgumentParser:
