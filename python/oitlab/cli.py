@@ -144,15 +144,19 @@ def split_variants(text: str) -> list[str]:
 
 
 def _split(text: str, mark: str) -> list[str]:
-    """Split at a mark outside all kinds of brackets."""
-    parts, depth = [""], 0
-    for character in text:
-        depth = max(0, depth + (character in "([{") - (character in ")]}"))
-        if character == mark and depth == 0:
-            parts.append("")
-        else:
-            parts[-1] += character
-    return parts
+    """Split at a mark outside all kinds of brackets that close."""
+    opened: list[int] = []
+    inside: set[int] = set()
+    for place, character in enumerate(text):
+        if character in "([{":
+            opened.append(place)
+        elif character in ")]}" and opened:
+            inside.update(range(opened.pop(), place))
+    cuts = [place for place, character in enumerate(text) if character == mark and place not in inside]
+    return [
+        text[first:last]
+        for first, last in zip([0, *(cut + 1 for cut in cuts)], [*cuts, len(text)], strict=True)
+    ]
 
 
 def _parser() -> argparse.ArgumentParser:
