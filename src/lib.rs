@@ -7,6 +7,7 @@ pub mod format;
 pub mod fragments;
 pub mod frame;
 pub mod order;
+pub mod own;
 pub mod params;
 #[cfg(feature = "python")]
 mod py;

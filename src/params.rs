@@ -3,9 +3,13 @@
 
 use crate::error::{Error, Result};
 use crate::format::FormatSet;
+use crate::own::{Callback, Signature, Source};
+use std::borrow::Cow;
 use std::fmt;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 
-/// A resolved parameter value. Text is always one of a spec's choices, hence `'static`.
+/// A parameter value that a table can hold. Text is always one of a spec's choices, hence `'static`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Value {
     /// No value: the parameter is inactive under the other params.
@@ -24,6 +28,23 @@ pub enum Value {
     Rgb([f64; 3]),
 }
 
+/// A resolved parameter value.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Setting {
+    /// One that a table can hold.
+    Plain(Value),
+    /// A function of the user's own, in WGSL.
+    Written(Arc<Source>),
+    /// A function of the user's own, of arrays.
+    Called(Callback),
+}
+
+impl From<Value> for Setting {
+    fn from(value: Value) -> Self {
+        Self::Plain(value)
+    }
+}
+
 /// A parameter value as the user wrote it.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Input {
@@ -37,6 +58,8 @@ pub enum Input {
     Text(String),
     /// A tuple, list or array of numbers.
     Floats(Vec<f64>),
+    /// A function of arrays.
+    Function(Callback),
     /// Something else; the text says what.
     Other(String),
 }
@@ -79,6 +102,13 @@ pub enum Kind {
     DepthRange,
     /// The name of a storage format.
     Format(FormatSet),
+    /// The name of a published function, or one of the user's own.
+    Function {
+        /// The published ones.
+        names: &'static [&'static str],
+        /// What others may read.
+        signature: &'static Signature,
+    },
 }
 
 impl Kind {
@@ -106,13 +136,25 @@ impl Kind {
             Self::Int { .. } | Self::IntChoice(_) => "int",
             Self::Float { .. } => "float",
             Self::Choice(_) | Self::Format(_) => "str",
+            Self::Function { .. } => "str or callable",
             Self::FloatOrRgb { .. } => "float or (r, g, b)",
             Self::DepthRange => "str or (z_lo, z_hi)",
         }
     }
 
-    /// Reads `input`; `None` when its type or value does not fit.
-    fn read(&self, input: &Input) -> Option<Value> {
+    /// Reads `input`; what it has to be when its type or value does not fit.
+    fn read(&self, input: &Input) -> std::result::Result<Setting, String> {
+        match (*self, input) {
+            (Self::Function { signature, .. }, Input::Text(text)) if !Source::is_name(text) => {
+                let source = Source::parse(text, signature);
+                source.map(|source| Setting::Written(Arc::new(source)))
+            }
+            (Self::Function { .. }, Input::Function(function)) => Ok(Setting::Called(function.clone())),
+            _ => self.read_plain(input).map(Setting::Plain).ok_or_else(|| format!("allowed is {self}")),
+        }
+    }
+
+    fn read_plain(&self, input: &Input) -> Option<Value> {
         match (*self, input) {
             (Self::Bool, Input::Bool(b)) => Some(Value::Bool(*b)),
             (Self::Int { min, max }, Input::Int(i)) => (min..=max).contains(i).then_some(Value::Int(*i)),
@@ -121,7 +163,7 @@ impl Kind {
                 let x = number(input)?;
                 self.contains(x).then_some(Value::Float(x))
             }
-            (Self::Choice(choices), Input::Text(text)) => choice(choices, text),
+            (Self::Choice(names) | Self::Function { names, .. }, Input::Text(text)) => choice(names, text),
             (Self::FloatOrRgb { min, max }, _) => {
                 let inside = |x: &f64| (min..=max).contains(x);
                 match input {
@@ -186,6 +228,12 @@ impl fmt::Display for Kind {
                 write!(f, "a number in [{min}, {max}], or three of them (r, g, b)")
             }
             Self::Format(formats) => write!(f, "one of {formats}"),
+            Self::Function { names, signature: Signature { entry, arguments, callable } } => {
+                let arguments = join(arguments.iter().map(ToString::to_string));
+                write!(f, "one of {}; ", join(names.iter().map(|name| format!("{name:?}"))))?;
+                write!(f, "WGSL, an expression of {arguments} or a module with fn {entry}; ")?;
+                write!(f, "or a callable {callable}")
+            }
             Self::DepthRange => write!(f, "\"pixel\", \"scene\" or (z_lo, z_hi) with 0 <= z_lo < z_hi"),
         }
     }
@@ -268,7 +316,9 @@ impl View {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Checked {
     technique: &'static str,
-    given: Vec<(&'static str, Value)>,
+    given: Vec<(&'static str, Setting)>,
+    /// The uniforms of functions that are the user's own, in the order of their texts.
+    uniforms: Vec<(&'static str, String, f64)>,
 }
 
 /// Checks `inputs` against the table `specs` of `technique`.
@@ -277,7 +327,7 @@ pub struct Checked {
 /// [`Error::Param`] for the first unknown name, wrong type or value out of range.
 pub fn check(technique: &'static str, specs: &[ParamSpec], inputs: &[(String, Input)]) -> Result<Checked> {
     let mut given = Vec::with_capacity(inputs.len());
-    for (name, input) in inputs {
+    for (name, input) in inputs.iter().filter(|(name, _)| uniform_of(specs, name).is_none()) {
         let Some(spec) = specs.iter().find(|spec| spec.name == name) else {
             let names = join(specs.iter().map(|s| format!("{} ({})", s.name, s.kind)));
             return Err(Error::Param {
@@ -286,20 +336,89 @@ pub fn check(technique: &'static str, specs: &[ParamSpec], inputs: &[(String, In
                 valid: format!("its parameters are {names}"),
             });
         };
-        let Some(value) = spec.kind.read(input) else {
-            return Err(Error::Param {
-                technique,
-                problem: format!("parameter {:?} is {}", spec.name, describe(input)),
-                valid: format!(
-                    "allowed is {}; its parameters are {}",
-                    spec.kind,
-                    join(specs.iter().map(|s| s.name.to_owned()))
-                ),
-            });
-        };
-        given.push((spec.name, value));
+        let setting =
+            spec.kind.read(input).map_err(|allowed| refusal(technique, specs, spec, input, allowed))?;
+        given.push((spec.name, setting));
     }
-    Ok(Checked { technique, given })
+    let uniforms = uniforms(technique, specs, &given, inputs)?;
+    Ok(Checked { technique, given, uniforms })
+}
+
+fn refusal(
+    technique: &'static str,
+    specs: &[ParamSpec],
+    spec: &ParamSpec,
+    input: &Input,
+    allowed: String,
+) -> Error {
+    let is_source = matches!(
+        (spec.kind, input),
+        (Kind::Function { .. }, Input::Text(text)) if !Source::is_name(text)
+    );
+    if is_source {
+        let problem = format!("parameter {:?} is not a function:\n{allowed}\n", spec.name);
+        return Error::Param { technique, problem, valid: format!("allowed is {}", spec.kind) };
+    }
+    let names = join(specs.iter().map(|s| s.name.to_owned()));
+    Error::Param {
+        technique,
+        problem: format!("parameter {:?} is {}", spec.name, describe(input)),
+        valid: format!("{allowed}; its parameters are {names}"),
+    }
+}
+
+/// The function whose uniform a dotted name is, and the uniform's own name.
+fn uniform_of<'s, 'n>(specs: &'s [ParamSpec], name: &'n str) -> Option<(&'s ParamSpec, &'n str)> {
+    let (function, uniform) = name.split_once('.')?;
+    let spec =
+        specs.iter().find(|spec| spec.name == function && matches!(spec.kind, Kind::Function { .. }))?;
+    Some((spec, uniform))
+}
+
+/// The value of every uniform of the functions that were given.
+fn uniforms(
+    technique: &'static str,
+    specs: &[ParamSpec],
+    given: &[(&'static str, Setting)],
+    inputs: &[(String, Input)],
+) -> Result<Vec<(&'static str, String, f64)>> {
+    let fault = |problem, valid| Error::Param { technique, problem, valid };
+    let known = |function: &str| match given.iter().rev().find(|(name, _)| *name == function) {
+        Some((_, Setting::Written(source))) => source.uniforms(),
+        _ => &[],
+    };
+    let valid = |function: &str| match known(function) {
+        [] => format!(
+            "{function:?} has no uniforms here: they are the names in an expression that it does not know"
+        ),
+        names => format!("the uniforms of {function:?} are {}", join(names.iter().cloned())),
+    };
+    let mut values = Vec::new();
+    for (name, input) in inputs {
+        let Some((spec, uniform)) = uniform_of(specs, name) else { continue };
+        if !known(spec.name).iter().any(|known| known == uniform) {
+            return Err(fault(format!("unknown parameter {name:?}"), valid(spec.name)));
+        }
+        let value = number(input).filter(|x| x.is_finite() && x.abs() <= f32::MAX.into());
+        let problem = || format!("parameter {name:?} is {}", describe(input));
+        let value =
+            value.ok_or_else(|| fault(problem(), "allowed is a finite number of f32's range".into()))?;
+        values.push((spec.name, uniform, value));
+    }
+    let mut found = Vec::new();
+    for spec in specs.iter().filter(|spec| matches!(spec.kind, Kind::Function { .. })) {
+        for uniform in known(spec.name) {
+            let given =
+                values.iter().rev().find(|(function, name, _)| (*function, *name) == (spec.name, uniform));
+            let Some((_, _, value)) = given else {
+                let dotted = format!("{}.{uniform}", spec.name);
+                let problem = format!("parameter {dotted:?} is missing, a uniform of {:?}", spec.name);
+                return Err(fault(problem, format!("{}; give each a number", valid(spec.name))));
+            };
+            found.push((spec.name, uniform.clone(), *value));
+        }
+    }
+    Ok(found)
 }
 
 fn describe(input: &Input) -> String {
@@ -309,47 +428,97 @@ fn describe(input: &Input) -> String {
         Input::Float(x) => format!("{x:?}"),
         Input::Text(t) => format!("{t:?}"),
         Input::Floats(v) => format!("({})", join(v.iter().map(|x| format!("{x:?}")))),
+        Input::Function(function) => function.0.describe(),
         Input::Other(what) => what.clone(),
     }
 }
 
-/// All params of one technique, in the order of its table.
+/// All params of one technique, in the order of its table, uniforms after their functions.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Params {
     technique: &'static str,
-    values: Vec<(&'static str, Value)>,
+    values: Vec<(Cow<'static, str>, Setting)>,
     active: Vec<bool>,
+    reports: Reports,
+}
+
+/// What the user's own functions have to report, counted by whoever calls them on behalf of these params.
+#[derive(Debug, Clone, Default)]
+pub struct Reports(Arc<AtomicU64>);
+
+/// What has happened is no part of what was asked for.
+impl PartialEq for Reports {
+    fn eq(&self, _other: &Self) -> bool {
+        true
+    }
+}
+
+impl Reports {
+    /// Counts results that are no weights, or no shares.
+    pub fn add_invalid(&self, count: u64) {
+        if count > 0 {
+            self.0.fetch_add(count, Ordering::Relaxed);
+        }
+    }
+
+    /// How many there were.
+    pub fn invalid(&self) -> u64 {
+        self.0.load(Ordering::Relaxed)
+    }
 }
 
 impl Checked {
     /// Completes the params with the defaults that `view` and the other params imply.
     pub fn resolve(&self, specs: &[ParamSpec], view: &View) -> Params {
-        let mut params = Params { technique: self.technique, values: Vec::new(), active: Vec::new() };
+        let mut params = Params {
+            technique: self.technique,
+            values: Vec::new(),
+            active: Vec::new(),
+            reports: Reports::default(),
+        };
         for spec in specs {
             let given = self.given.iter().rev().find(|(name, _)| *name == spec.name);
-            let value = match (given, spec.default) {
-                (Some((_, value)), _) => *value,
-                (None, Default::Fixed(value)) => value,
-                (None, Default::Derived { rule, .. }) => rule(&params, view),
+            let setting = match (given, spec.default) {
+                (Some((_, setting)), _) => setting.clone(),
+                (None, Default::Fixed(value)) => value.into(),
+                (None, Default::Derived { rule, .. }) => rule(&params, view).into(),
             };
             let active = (spec.active)(&params);
-            params.values.push((spec.name, value));
-            params.active.push(active);
+            params.push(Cow::Borrowed(spec.name), setting, active);
+            for (_, uniform, value) in self.uniforms.iter().filter(|(function, ..)| *function == spec.name) {
+                let name = Cow::Owned(format!("{}.{uniform}", spec.name));
+                params.push(name, Value::Float(*value).into(), active);
+            }
         }
         params
     }
 }
 
 impl Params {
+    fn push(&mut self, name: Cow<'static, str>, setting: Setting, active: bool) {
+        self.values.push((name, setting));
+        self.active.push(active);
+    }
+
     /// Every param with its value.
-    pub fn iter(&self) -> impl Iterator<Item = (&'static str, Value)> + '_ {
-        self.values.iter().copied()
+    pub fn iter(&self) -> impl Iterator<Item = (&str, &Setting)> + '_ {
+        self.values.iter().map(|(name, setting)| (&**name, setting))
     }
 
     /// The params that act: what tells one variant of a technique from another.
-    pub fn identity(&self) -> Vec<(&'static str, Value)> {
+    pub fn identity(&self) -> Vec<(Cow<'static, str>, Setting)> {
         let pairs = self.values.iter().zip(&self.active);
-        pairs.filter(|(_, active)| **active).map(|(pair, _)| *pair).collect()
+        pairs.filter(|(_, active)| **active).map(|(pair, _)| pair.clone()).collect()
+    }
+
+    /// Where the user's own functions are reported about.
+    pub fn reports(&self) -> &Reports {
+        &self.reports
+    }
+
+    /// Whether a function of arrays acts, which is best called for many fragments at once.
+    pub fn call_out(&self) -> bool {
+        self.identity().iter().any(|(_, setting)| matches!(setting, Setting::Called(_)))
     }
 
     /// The technique's own error about a combination of params.
@@ -361,11 +530,33 @@ impl Params {
     ///
     /// # Panics
     /// If the technique's own table has no such row, or has it after the one being resolved.
-    pub fn value(&self, name: &str) -> Value {
-        match self.values.iter().find(|(n, _)| *n == name) {
-            Some((_, value)) => *value,
+    pub fn setting(&self, name: &str) -> &Setting {
+        match self.values.iter().find(|(n, _)| n == name) {
+            Some((_, setting)) => setting,
             None => panic!("{} has no param {name:?}", self.technique),
         }
+    }
+    /// The value of `name`; none where it is a function of the user's own.
+    pub fn value(&self, name: &str) -> Value {
+        match self.setting(name) {
+            Setting::Plain(value) => *value,
+            Setting::Written(_) | Setting::Called(_) => Value::None,
+        }
+    }
+    /// The values of the uniforms of a function that is the user's own.
+    #[expect(clippy::cast_possible_truncation, reason = "functions compute in f32")]
+    pub fn uniforms(&self, name: &str) -> Vec<f32> {
+        let is_uniform = |dotted: &str| dotted.split_once('.').is_some_and(|(function, _)| function == name);
+        let uniforms = self.iter().filter(|(dotted, _)| is_uniform(dotted));
+        let values = uniforms.filter_map(|(_, setting)| match setting {
+            Setting::Plain(Value::Float(x)) => Some(*x as f32),
+            _ => None,
+        });
+        values.collect()
+    }
+    /// Whether `name` is this one of its choices.
+    pub fn is(&self, name: &str, choice: &str) -> bool {
+        matches!(self.value(name), Value::Text(text) if text == choice)
     }
     /// A switch.
     pub fn bool(&self, name: &str) -> bool {

@@ -339,6 +339,7 @@ impl<'a> Job<'a> {
             geometry_passes: cost.geometry_passes,
             bytes_per_pixel: cost.bytes_per_pixel,
             dropped: variant.dropped,
+            invalid_weights: variant.invalid_weights + self.variants[index].params.reports().invalid(),
             skipped: vec![
                 ("empty_tiles", tally.empty_tiles),
                 ("empty_pixels", tally.empty_pixels),

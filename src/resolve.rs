@@ -5,6 +5,7 @@ use crate::diagnosis::Diagnosis;
 use crate::error::Result;
 use crate::fragments::{Lists, ListsRef};
 use crate::order::{CentroidOrder, Reorderer, SubmissionOrder, without_zero_fragments};
+use crate::own::in_batches;
 use crate::params::Params;
 use crate::raster::Order;
 use crate::technique::{AnyTechnique, Batch, Resolved, Streamed};
@@ -23,6 +24,8 @@ pub struct Variant {
     pub technique: Box<dyn AnyTechnique>,
     /// The order in which it gets the fragments.
     pub order: SubmissionOrder,
+    /// Whether it calls functions that are best called for many fragments at once.
+    pub calls_out: bool,
 }
 
 impl Variant {
@@ -67,6 +70,8 @@ pub struct VariantTally {
     pub nanos: u64,
     /// Fragments that did not fit into the technique's storage.
     pub dropped: u64,
+    /// Weights of the user's own that were none, where they were blended while rasterising.
+    pub invalid_weights: u64,
     /// Pixels of one fragment that were composited directly.
     pub single_fragment_pixels: u64,
     /// Fragments behind one that covers its pixel, which were not looked at.
@@ -188,7 +193,14 @@ impl Resolver {
             0 => Diagnosis::CLEAR,
             _ => variant.technique.diagnose(&batch.pixel(i)),
         };
-        (0..lists.len()).map(of_pixel).collect()
+        let mut found = Vec::new();
+        let mut look = || found = (0..lists.len()).map(of_pixel).collect();
+        if variant.calls_out {
+            in_batches(look)
+        } else {
+            look()
+        }
+        found
     }
 }
 
@@ -269,7 +281,14 @@ fn run_variant(
             _ => pixels.push(i as u32),
         }
     }
-    technique.resolve_batch(batch, pixels, out, &|| (context.stop)())
+    let mut found = Ok(());
+    let mut resolve = || found = technique.resolve_batch(batch, pixels, out, &|| (context.stop)());
+    if variant.calls_out {
+        in_batches(resolve)
+    } else {
+        resolve()
+    }
+    found
 }
 
 /// One fragment over the background.

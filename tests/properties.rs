@@ -49,6 +49,10 @@ fn values(spec: &ParamSpec) -> Vec<Input> {
     match spec.kind {
         Kind::Choice(_) if spec.name == "submission_order" => vec![text(&"shuffled")],
         Kind::Choice(words) => words.iter().map(text).collect(),
+        Kind::Function { names, signature } => {
+            let own = format!("1.0 / (1.0 + {0} * {0})", signature.arguments[0]);
+            names.iter().map(text).chain([Input::Text(own)]).collect()
+        }
         Kind::Format(formats) => formats.iter().map(|format| text(&format.name())).collect(),
         Kind::Bool => vec![Input::Bool(false), Input::Bool(true)],
         Kind::DepthRange => vec![text(&"pixel"), text(&"scene"), Input::Floats(vec![2.0, 6.0])],
@@ -75,7 +79,8 @@ fn variants() -> Vec<Variant> {
     };
     let changed = |info: &'static Info| {
         let table = info.param_table();
-        let is_algorithm = |spec: &&ParamSpec| matches!(spec.kind, Kind::Choice(_) | Kind::Bool);
+        let is_algorithm =
+            |spec: &&ParamSpec| matches!(spec.kind, Kind::Choice(_) | Kind::Function { .. } | Kind::Bool);
         let narrow = table.iter().filter(is_algorithm).filter(|_| !info.targets.is_empty());
         let narrow: Vec<_> = narrow.flat_map(one).map(in_half).collect();
         let params: Vec<_> = table.iter().flat_map(one).chain(narrow).collect();

@@ -22,7 +22,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     command = [sys.executable, "-W", "error", str(BENCHES / "bench.py"), "--quick", "--output", str(folder)]
     finished = subprocess.run([*command, "--peers", "embree", "ppll"], capture_output=True, text=True)
     assert finished.returncode == 0, finished.stderr
-    parts = ("peers", "pareto", "scaling", "skips", "memory", "sweep")
+    parts = ("peers", "pareto", "scaling", "skips", "memory", "sweep", "weights")
     found = {part: json.loads((folder / f"{part}.json").read_text()) for part in parts}
     for part in parts:
         assert {"command", "date", "commit", "cpu", "cores", "versions"} <= found[part]["about"].keys()
@@ -87,6 +87,15 @@ def test_what_is_skipped_is_what_the_scene_lacks(bench: dict[str, Any]) -> None:
             "the same again",
         }
         assert row["lists_together_over_alone"] > 0.0
+
+
+def test_ones_own_weights_are_measured_against_the_published_one(bench: dict[str, Any]) -> None:
+    rows = bench["weights"]["scenes"]
+    assert list(rows) == ["smoke", "soup", "shells"]
+    for row in rows.values():
+        for technique in ("wboit", "lwboit"):
+            assert list(row[technique]["ratios"]) == ["WGSL", "callable"]
+            assert all(ratio > 0 for ratio in row[technique]["ratios"].values())
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="peaks of memory are read from /proc")

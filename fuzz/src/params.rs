@@ -58,7 +58,7 @@ pub fn choice(spec: Option<&ParamSpec>, i: usize) -> Value {
             let names: Vec<_> = formats.iter().map(|format| format.name()).collect();
             Value::Text(names[i % names.len()].to_owned())
         }
-        Some(Kind::Choice(words)) => Value::Text(words[i % words.len()].to_owned()),
+        Some(Kind::Choice(words) | Kind::Function { names: words, .. }) => Value::Text(words[i % words.len()].to_owned()),
         Some(Kind::IntChoice(numbers)) => Value::Int(numbers[i % numbers.len()]),
         Some(Kind::DepthRange) => Value::Text(["pixel", "scene"][i % 2].to_owned()),
         _ => Value::Int(i as i64),
@@ -110,7 +110,7 @@ fn names_the_culprit(error: &Error, params: &[(String, Value)]) {
 }
 
 /// A few layers, an empty pixel, twins, and one that covers all.
-fn pixels() -> Fragments {
+pub fn pixels() -> Fragments {
     let mut lists = Lists::new();
     let fragment =
         |depth, alpha: f32, primitive| Fragment { depth, color: [alpha, 0.5 * alpha, 0.0], alpha, primitive };

@@ -32,7 +32,7 @@ from .loading import LoadWarning, TextureWarning, load
 from .metrics import compare, error_map
 from .png import write_png
 from .registry import Cost, ParamInfo, TechniqueInfo, techniques
-from .rendering import capture, render, render_many
+from .rendering import WeightWarning, capture, render, render_many
 from .scene import Camera, Mesh, Scene
 from .splitting import ErrorPart, ErrorSplit, error_split
 from .stress_lab import stress, stress_cases
@@ -61,6 +61,7 @@ __all__ = [
     "TechniqueInfo",
     "TextureWarning",
     "Transmittance",
+    "WeightWarning",
     "__version__",
     "capture",
     "compare",

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ._scene_option import PREFIX, add_scene, scene_of
-from ._variant_text import parse_values, parse_variant
+from ._variant_text import parse_values, parse_variant, split_outside
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -124,7 +124,7 @@ def _scenes(options: argparse.Namespace) -> dict[str, Scene]:
 
 
 def _grid(texts: list[str]) -> list[tuple[str, dict[str, Any]]]:
-    split = (text.split(":") for text in texts)
+    split = (split_outside(text, ":") for text in texts)
     return [(technique.strip(), dict(map(parse_values, settings))) for technique, *settings in split]
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import re
 from typing import Any
 
 
@@ -29,8 +28,10 @@ def parse_variant(text: str) -> tuple[str, dict[str, Any]]:
     --------
     >>> parse_variant("lwboit:bins=64:bin_function=tent")
     ('lwboit', {'bins': 64, 'bin_function': 'tent'})
+    >>> parse_variant("wboit:weight=fn weight(z: f32) -> f32 { return exp(-z); }")
+    ('wboit', {'weight': 'fn weight(z: f32) -> f32 { return exp(-z); }'})
     """
-    technique, *settings = text.split(":")
+    technique, *settings = split_outside(text, ":")
     return technique.strip(), dict(map(parse_param, settings))
 
 
@@ -97,5 +98,23 @@ def split_variants(text: str) -> list[str]:
     --------
     >>> split_variants("wboit,opacity_shadow_maps:range=[1,2]:bins=8")
     ['wboit', 'opacity_shadow_maps:range=[1,2]:bins=8']
+    >>> split_variants("a_buffer,wboit:weight=max(a, 0.1) / z")
+    ['a_buffer', 'wboit:weight=max(a, 0.1) / z']
     """
-    return re.split(r",(?![^\[\]]*\])", text)
+    return split_outside(text, ",")
+
+
+def split_outside(text: str, mark: str) -> list[str]:
+    """Split at a mark outside all kinds of brackets that close."""
+    opened: list[int] = []
+    inside: set[int] = set()
+    for place, character in enumerate(text):
+        if character in "([{":
+            opened.append(place)
+        elif character in ")]}" and opened:
+            inside.update(range(opened.pop(), place))
+    cuts = [place for place, character in enumerate(text) if character == mark and place not in inside]
+    return [
+        text[first:last]
+        for first, last in zip([0, *(cut + 1 for cut in cuts)], [*cuts, len(text)], strict=True)
+    ]

@@ -217,9 +217,11 @@ def _attributes(frame: Frame, parts: list[str], error_metric: str) -> dict[str, 
 
 
 def _plain(value: object) -> object:
-    """Give JSON the Python form of NumPy's scalars and arrays."""
+    """Give JSON the Python form of NumPy's scalars and arrays; of functions, what they are called."""
     if isinstance(value, np.generic | np.ndarray):
         return value.tolist()
+    if callable(value):
+        return repr(value)
     raise ValueError(f"params: cannot store {value!r} of type {type(value).__name__} in an EXR attribute")
 
 

@@ -43,6 +43,9 @@ class Stats:
     """How much work each shortcut avoided, by the shortcut's name."""
     backend: str
     threads: int
+    invalid_weights: int = 0
+    """Fragments for which a function of one's own gave no weight (a finite number above 0; the least weight
+    took its place) or no share (a finite number from 0 up; it got none). Published ones are not looked at."""
     diagnostics: dict[str, int] = field(default_factory=dict)
     """Pixels that each kind of `Frame.diagnostics` befell; empty unless it was asked for."""
 

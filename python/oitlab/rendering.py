@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import warnings
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -19,8 +20,16 @@ from .frame import Frame, Stats
 from .registry import techniques
 from .scene import Scene
 
+
+class WeightWarning(UserWarning):
+    """A weight or bin function of one's own gave what is none; `Stats.invalid_weights` says how often."""
+
+
 Variant = str | tuple[str, Mapping[str, Any] | None]
 """A technique's id, alone or with its params."""
+
+_CALLER = 4
+"""Where a warning of `_warn_of_weights` belongs: what called `render` or `render_many`."""
 
 
 def render(
@@ -43,7 +52,9 @@ def render(
     technique : str
         An id or alias of `oitlab.techniques()`.
     params : mapping, optional
-        The technique's parameters; those left out take their defaults.
+        The technique's parameters; those left out take their defaults. Where the table of
+        `oitlab.techniques()` says "str or callable" (`weight`, `bin_function`) functions of one's own are
+        taken, see the notes.
     backend : {"cpu", "gpu"}
         "cpu" is the definition. A technique without a GPU form refuses "gpu".
     threads : int >= 1, optional
@@ -63,18 +74,56 @@ def render(
     Raises
     ------
     ValueError
-        Unknown technique, backend or dtype; a parameter that is unknown, of the wrong type or out of range.
+        Unknown technique, backend or dtype; a parameter that is unknown, of the wrong type or out of range; a
+        text that is not WGSL, shown with what is wrong with it. What a callable raises is raised as it is.
+
+    Warns
+    -----
+    WeightWarning
+        A function of one's own gave weights that are not finite numbers above 0, or shares that are not
+        finite numbers from 0 up. `Frame.stats.invalid_weights` counts their fragments; the least weight
+        (1e-30) or no share takes their place.
+
+    Notes
+    -----
+    A weight of one's own is text in WGSL or a Python callable.
+
+    Text is an expression of ``z``, the depth that weights see (``weight_scale * depth + weight_shift``, at
+    least 1e-4), ``a``, alpha, and ``d``, window depth in [0, 1] between the params ``near`` and ``far``
+    (McGuire2013 eq. 11); or a module with ``fn weight(z: f32, a: f32, d: f32) -> f32``, which may take fewer
+    of these, in any order. Every other name in an expression, and every other argument of ``weight``, is a
+    uniform, whose value is a param with a dotted name. Helper functions, constants, structures, vectors,
+    branches and loops are run; textures, buffers, matrices and arrays are refused. Numbers are float32, and
+    each operation is rounded. A fragment whose loops take 4096 turns in all gets NaN. Text has at most 8192
+    bytes; a text that is but a name has to be that of a published function.
+
+    A callable ``weight(z, alpha)`` is given two float32 arrays of one length and returns as many weights. It
+    is called for some thousand fragments at a time, in any order, from several threads, by one of them at a
+    time; it cannot render.
+
+    A bin function is an expression of ``x``, the signed distance from a bin's centre in bin widths, a module
+    with ``fn bin(x: f32) -> f32``, or a callable of one array. It is asked for abs(x) <= 2.5 and is 0 beyond.
+
+    Two texts are one variant if they and their uniforms are equal, two callables if they are one object.
 
     Examples
     --------
+    >>> import numpy as np
     >>> import oitlab
     >>> scene = oitlab.scenes.squares(width=32, height=18)
     >>> frame = oitlab.render(scene, "wboit", {"weight": "mb7"})
     >>> frame.color.shape, str(frame.color.dtype), frame.technique
     ((18, 32, 3), 'float32', 'wboit')
+
+    A weight of one's own, with a uniform, and the same as a function of arrays:
+
+    >>> mine = oitlab.render(scene, "wboit", {"weight": "a * exp(-k * z)", "weight.k": 0.5})
+    >>> same = oitlab.render(scene, "wboit", {"weight": lambda z, alpha: alpha * np.exp(-0.5 * z)})
+    >>> bool(abs(mine.color - same.color).max() < 1e-5), mine.stats.invalid_weights
+    (True, 0)
     """
-    keywords = {"backend": backend, "threads": threads, "skip": skip, "dtype": dtype}
-    return render_many(source, [(technique, params)], diagnostics=diagnostics, **keywords)[0]
+    options = backend, threads, skip, dtype, diagnostics
+    return _render(source, [(technique, params)], *options)[0]
 
 
 def render_many(
@@ -108,6 +157,11 @@ def render_many(
     ValueError
         As `render`; nothing is drawn when one variant is wrong.
 
+    Warns
+    -----
+    WeightWarning
+        As `render`; one for all variants.
+
     Examples
     --------
     >>> import oitlab
@@ -116,6 +170,18 @@ def render_many(
     >>> exact.scene_hash == fast.scene_hash == scene.content_hash
     True
     """
+    return _render(source, variants, backend, threads, skip, dtype, diagnostics)
+
+
+def _render(
+    source: Scene | Fragments,
+    variants: Iterable[Variant],
+    backend: Literal["cpu", "gpu"],
+    threads: int | None,
+    skip: bool,
+    dtype: Any,
+    diagnostics: bool,
+) -> list[Frame]:
     if isinstance(variants, str) or not isinstance(variants, Iterable):
         raise ValueError(f"variants must be an iterable of ids or (id, params), got {variants!r}")
     requested = [checked_variant(variant) for variant in variants]
@@ -128,10 +194,23 @@ def render_many(
     jobs = [(one.technique, one.params) for one in bound]
     raws = _oitlab.render(source._handle, jobs, *options)
     frames = [_frame(raw, one) for raw, one in zip(raws, bound, strict=True)]
+    _warn_of_weights(frames)
     if not diagnosed:
         return frames
     found = _oitlab.diagnose(source._handle, jobs, options[0])
     return [_diagnosed(frame, images) for frame, images in zip(frames, found, strict=True)]
+
+
+def _warn_of_weights(frames: list[Frame]) -> None:
+    """Warn once of everything that was no weight."""
+    found = [frame for frame in frames if frame.stats.invalid_weights]
+    if found:
+        counts = ", ".join(f"{frame.stats.invalid_weights} of {frame.technique}" for frame in found)
+        message = (
+            "a function of one's own gave what is no weight (a finite number above 0) or no share (one from 0"
+            f" up); the least there is took its place. Fragments: {counts}"
+        )
+        warnings.warn(message, WeightWarning, stacklevel=_CALLER)
 
 
 def capture(scene: Scene, *, threads: int | None = None) -> Fragments:

@@ -4,6 +4,8 @@
 
 use super::arrays::{contiguous, rows};
 use super::convert::inputs;
+use super::function::Failures;
+use super::visit::attached;
 use crate::diagnosis::{Diagnosis, Faults};
 use crate::error::{Error, Result};
 use crate::fragments::{List, Lists};
@@ -16,14 +18,10 @@ use numpy::{
     Element, IntoPyArray, PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2,
     PyUntypedArrayMethods,
 };
-use pyo3::exceptions::PyRuntimeError;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
-use std::cell::Cell;
 use std::collections::BTreeSet;
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::Duration;
 
 /// A technique written in Python, with its params bound.
 #[pyclass(frozen, name = "CustomTechnique", module = "oitlab._oitlab")]
@@ -43,9 +41,9 @@ impl Named<'_> {
     ///
     /// # Errors
     /// `TypeError` for a key that is not a string.
-    pub fn request(self, params: &Bound<'_, PyDict>) -> PyResult<Request> {
+    pub fn request(self, params: &Bound<'_, PyDict>, failures: &Failures) -> PyResult<Request> {
         Ok(match self {
-            Self::Id(id) => (id, inputs(params)?).into(),
+            Self::Id(id) => (id, inputs(params, failures)?).into(),
             Self::Custom(technique) => Request::Custom(technique.get().0.clone()),
         })
     }
@@ -109,69 +107,9 @@ fn kept(id: &str) -> &'static str {
     new
 }
 
-thread_local! {
-    /// Whether this thread is in the middle of a technique.
-    static RESOLVES: Cell<bool> = const { Cell::new(false) };
-}
-
-/// Refuses work from within a technique: it would wait for the threads that wait for the technique.
-///
-/// # Errors
-/// `RuntimeError` there.
-pub fn refuse_within_technique() -> PyResult<()> {
-    if RESOLVES.get() {
-        let message = "oitlab cannot render, capture or measure from within a technique: do that before, and \
-                       let the technique use what came out";
-        return Err(PyRuntimeError::new_err(message));
-    }
-    Ok(())
-}
-
-/// Workers that are in the interpreter or about to be, and whether the program is about to end. A thread that
-/// comes back to an interpreter that is gone takes the process with it.
-static VISITORS: AtomicUsize = AtomicUsize::new(0);
-static ENDS: AtomicBool = AtomicBool::new(false);
-
-/// A worker's stay in the interpreter.
-struct Visit;
-
-impl Visit {
-    /// None when the program is about to end.
-    fn begin() -> Option<Self> {
-        VISITORS.fetch_add(1, Ordering::SeqCst);
-        let visit = Self;
-        (!ENDS.load(Ordering::SeqCst)).then_some(visit)
-    }
-}
-
-impl Drop for Visit {
-    fn drop(&mut self) {
-        VISITORS.fetch_sub(1, Ordering::SeqCst);
-    }
-}
-
-/// Lets no more workers into the interpreter and waits for those that are there, such as those that an interrupted
-/// render left behind in the middle of a technique. To be called when the program ends.
-#[pyfunction]
-pub fn settle(py: Python<'_>) -> PyResult<()> {
-    ENDS.store(true, Ordering::SeqCst);
-    while VISITORS.load(Ordering::SeqCst) > 0 {
-        py.detach(|| std::thread::sleep(Duration::from_millis(5)));
-        py.check_signals()?;
-    }
-    Ok(())
-}
-
-/// Runs `call` attached to the interpreter, on a thread that is marked as being in a technique.
-fn attached<T>(call: impl FnOnce(Python<'_>) -> PyResult<T>) -> Result<T> {
-    let Some(_visit) = Visit::begin() else { return Err(Error::Cancelled) };
-    let marked = |py: Python<'_>| {
-        let before = RESOLVES.replace(true);
-        let result = call(py);
-        RESOLVES.set(before);
-        result.map_err(Error::raised)
-    };
-    Python::try_attach(marked).unwrap_or(Err(Error::Cancelled))
+/// What a call gave, as an error of the core if it raised one; cancelled when the program ends.
+fn reported<T>(given: Option<PyResult<T>>) -> Result<T> {
+    given.map_or(Err(Error::Cancelled), |given| given.map_err(Error::raised))
 }
 
 impl OnView {
@@ -285,7 +223,7 @@ impl AnyTechnique for OnView {
             let found: PyReadonlyArray1<'_, f64> = found.extract()?;
             Ok(contiguous("transmittance", &found)?.to_vec())
         });
-        found.map(Some)
+        Ok(Some(reported(found)?))
     }
     fn faults(&self) -> Faults {
         Faults::NONE
@@ -318,13 +256,13 @@ impl AnyTechnique for OnView {
             background.push(batch.background[i as usize]);
             places.push(place(&pixel));
         }
-        attached(|py| {
+        reported(attached(|py| {
             if stop() {
                 return Ok(()); // while others had the interpreter
             }
             let arguments = self.arguments(py, lists, &background, &places)?;
             let found = self.callables.resolve.bind(py).call1(PyTuple::new(py, arguments)?)?;
             store(found.cast::<PyTuple>()?, pixels, out)
-        })
+        }))
     }
 }

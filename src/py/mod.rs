@@ -6,8 +6,10 @@ mod convert;
 mod custom;
 mod fragments;
 mod frame;
+mod function;
 mod run;
 mod scene;
+mod visit;
 
 use pyo3::prelude::*;
 
@@ -17,7 +19,7 @@ mod extension {
     use pyo3::prelude::*;
 
     #[pymodule_export]
-    use super::custom::{PyTechnique, settle};
+    use super::custom::PyTechnique;
     #[pymodule_export]
     use super::fragments::PyFragments;
     #[pymodule_export]
@@ -26,6 +28,8 @@ mod extension {
     use super::run::{capture, cost, diagnose, order_sensitivity, render, techniques, transmittance};
     #[pymodule_export]
     use super::scene::{PyCamera, PyMesh, PyScene};
+    #[pymodule_export]
+    use super::visit::settle;
 
     #[pymodule_init]
     fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {

@@ -90,7 +90,8 @@ fn registered(info: &'static Info, checked: &Checked, view: &View) -> Result<Var
     let technique = (info.build)(&params, view)?;
     let seed = u64::try_from(params.int("seed")).unwrap_or(0);
     let order = SubmissionOrder::from_name(params.text("submission_order"), seed);
-    Ok(Variant { id: info.id, custom: None, params, technique, order })
+    let calls_out = params.call_out();
+    Ok(Variant { id: info.id, custom: None, params, technique, order, calls_out })
 }
 
 fn brought(custom: &Custom, view: &View) -> Result<Variant> {
@@ -102,5 +103,6 @@ fn brought(custom: &Custom, view: &View) -> Result<Variant> {
         params,
         technique,
         order: custom.order,
+        calls_out: false,
     })
 }

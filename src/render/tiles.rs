@@ -232,6 +232,7 @@ impl Job<'_> {
         let background = tile.background();
         for (i, &v) in plan.sums.iter().enumerate() {
             store(v, rect, patch, tally, pixels, |range, out| sums.finish(i, range, background, out));
+            tally.variants[v].invalid_weights += sums.invalid(i);
         }
         plan.sums.iter().zip(sums.nanos()).for_each(|(&v, nanos)| tally.streamed(v, nanos));
         for (variants, target) in [(&plan.blends, blend), (&plan.painters, painter)] {
