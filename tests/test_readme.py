@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+import oitlab
+
 ROOT = Path(__file__).parents[1]
 
 
@@ -25,12 +27,11 @@ def test_the_example_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
     assert blocks
     monkeypatch.chdir(tmp_path)
     for block in blocks:
-        exec(compile(block, "README.md", "exec"), {})
+        with oitlab.custom.temporary():
+            exec(compile(block, "README.md", "exec"), {})
 
 
 def test_every_citation_is_in_the_bibliography() -> None:
-    import oitlab
-
     keys = set(re.findall(r"^@\w+\{(\w+),", (ROOT / "references.bib").read_text(), re.MULTILINE))
     for entry in oitlab.techniques():
         assert set(entry.citation) <= keys, entry.id
