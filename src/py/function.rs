@@ -7,23 +7,30 @@ use pyo3::prelude::*;
 use pyo3::types::PyTuple;
 use std::any::Any;
 use std::cell::Cell;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 
-/// The first thing that a function of a call has raised.
+/// The first thing that a function of a call has raised, and whether any is to be called at all.
 #[derive(Clone, Default)]
 pub struct Failures(Arc<Slot>);
 
 #[derive(Default)]
 struct Slot {
     happened: AtomicBool,
+    /// Threads that are in Python, or about to be.
+    calls: AtomicUsize,
     error: Mutex<Option<PyErr>>,
 }
 
 impl Failures {
     /// Whether there is no point in going on.
     pub fn happened(&self) -> bool {
-        self.0.happened.load(Ordering::Relaxed)
+        self.0.happened.load(Ordering::SeqCst)
+    }
+
+    /// Whether no thread is in Python; after [`Failures::stop`] none will ever be again.
+    pub fn is_quiet(&self) -> bool {
+        self.0.calls.load(Ordering::SeqCst) == 0
     }
 
     /// Raises it.
@@ -39,8 +46,9 @@ impl Failures {
         self.stop();
     }
 
-    fn stop(&self) {
-        self.0.happened.store(true, Ordering::Relaxed);
+    /// Nothing is to be called from now on.
+    pub fn stop(&self) {
+        self.0.happened.store(true, Ordering::SeqCst);
     }
 }
 
@@ -135,15 +143,16 @@ impl PyFunction {
 impl ArrayFunction for PyFunction {
     fn call(&self, inputs: &[&[f32]], results: &mut [f32]) {
         results.fill(1.0);
-        if self.failures.happened() {
-            return;
+        self.failures.0.calls.fetch_add(1, Ordering::SeqCst);
+        if !self.failures.happened() {
+            match Python::try_attach(|py| self.compute(py, inputs, results)) {
+                Some(Ok(())) => {}
+                Some(Err(error)) => self.failures.put(error),
+                // the interpreter is going away
+                None => self.failures.stop(),
+            }
         }
-        match Python::try_attach(|py| self.compute(py, inputs, results)) {
-            Some(Ok(())) => {}
-            Some(Err(error)) => self.failures.put(error),
-            // the interpreter is going away
-            None => self.failures.stop(),
-        }
+        self.failures.0.calls.fetch_sub(1, Ordering::SeqCst);
     }
     fn id(&self) -> usize {
         self.callable.as_ptr().addr()

@@ -81,7 +81,8 @@ impl AnySource {
 const SIGNAL_INTERVAL: Duration = Duration::from_millis(20);
 
 /// Runs `work` on another thread, detached from the interpreter. On a signal such as Ctrl-C it is told to stop
-/// and left to wind down by itself, so that the interpreter has control again at once. It is also told to stop when a
+/// and left to wind down by itself, so that the interpreter has control again at once, or as soon as it has left the
+/// user's own functions: a thread that is in Python when the interpreter ends takes the process with it. It is also told to stop when a
 /// function of the user's own has raised something, which is raised again here.
 fn interruptible<T: Send + 'static>(
     py: Python<'_>,
@@ -118,6 +119,7 @@ fn interruptible<T: Send + 'static>(
                     )]
                     if let Err(signal) = Python::attach(|py| py.check_signals()) {
                         stop.store(true, Ordering::Relaxed);
+                        leave_python(failures);
                         return Err(signal);
                     }
                 }
@@ -126,6 +128,18 @@ fn interruptible<T: Send + 'static>(
     });
     failures.raise()?;
     result
+}
+
+/// Waits for the functions that are being called, until somebody is tired of that, too.
+fn leave_python(failures: &Failures) {
+    failures.stop();
+    #[expect(
+        clippy::redundant_closure_for_method_calls,
+        reason = "the method itself is not general enough in its lifetime"
+    )]
+    while !failures.is_quiet() && Python::attach(|py| py.check_signals()).is_ok() {
+        std::thread::sleep(Duration::from_millis(1));
+    }
 }
 
 /// Variants as the core takes them.
