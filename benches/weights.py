@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 import oitlab
 
 CASES = (("smoke", "wboit"), ("soup", "wboit"), ("shells", "wboit"), ("shells", "lwboit"))
-"""Scenes and techniques: facing quads, whose weight is one per primitive, triangles of every tilt, and lists."""
+"""Scenes and techniques: facing quads with one weight per primitive, triangles of every tilt, and lists."""
 MB7 = "a * clamp(10.0 / (1e-5 + pow(z / 5.0, 2.0) + pow(z / 200.0, 6.0)), 1e-2, 3e3)"
 """MB13 eq. 7."""
 HOW = {"published": "mb7", "WGSL": MB7, "callable": lambda z, alpha: mb7(z, alpha)}
