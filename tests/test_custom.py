@@ -583,7 +583,7 @@ def test_rendering_from_within_a_technique_is_refused(small_scene: oitlab.Scene)
         oitlab.render(fragments, "a_buffer")
         return batch.background, np.ones(len(batch))
 
-    with pytest.raises(RuntimeError, match="from within a technique: do that before"):
+    with pytest.raises(RuntimeError, match="from within a technique or a function that a render calls"):
         oitlab.render(small_scene, "nested")
 
 

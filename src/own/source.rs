@@ -167,7 +167,8 @@ fn is_expression(tokens: &[(Token<'_>, Range<usize>)]) -> Result<(), Problem> {
 /// Parses and validates, and finds the function.
 fn parse(wrapped: &Wrapped, signature: &Signature) -> Result<Parsed, Problem> {
     let module = naga::front::wgsl::parse_str(&wrapped.module)?;
-    let info = Validator::new(ValidationFlags::all(), Capabilities::SHADER_FLOAT16_IN_FLOAT32).validate(&module)?;
+    let info =
+        Validator::new(ValidationFlags::all(), Capabilities::SHADER_FLOAT16_IN_FLOAT32).validate(&module)?;
     let Signature { entry: name, arguments, .. } = signature;
     let found = module.functions.iter().find(|(_, function)| function.name.as_deref() == Some(name));
     let Some((entry, function)) = found else {

@@ -10,7 +10,7 @@ mod own;
 
 pub use own::Own;
 
-use crate::continuum::functions::exp;
+use crate::continuum::functions::{exp, ln};
 use crate::error::Result;
 use crate::own::Signature;
 use crate::params::{Kind, ParamSpec, Params, Setting, Value};
@@ -146,7 +146,7 @@ fn bounded(w: f32) -> f32 {
     if w < ceiling { w } else { ceiling }
 }
 
-/// `z^-k`; by multiplication where k is a small whole number, which is faster than `powf` and as exact.
+/// `z^-k`; by multiplication where k is a small whole number, which is faster and as exact.
 #[inline(always)]
 #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
 fn inverse_power(at: &Fragments<'_>, weights: &mut [f32], k: f32) {
@@ -158,7 +158,11 @@ fn inverse_power(at: &Fragments<'_>, weights: &mut [f32], k: f32) {
         4.0 => fill(at, weights, |z, _| square(square(z.recip()))),
         5.0 => fill(at, weights, |z, _| square(square(z.recip())) * z.recip()),
         6.0 => fill(at, weights, |z, _| square(square(z.recip()) * z.recip())),
-        _ => fill(at, weights, |z, _| z.powf(-k)),
+        #[expect(clippy::cast_possible_truncation, reason = "weights are evaluated in f32")]
+        _ => fill(at, weights, |z, _| {
+            // what is beyond is beyond the bounds of weights, too
+            exp((-f64::from(k) * ln(f64::from(z))).clamp(-100.0, 100.0)) as f32
+        }),
     }
 }
 

@@ -29,7 +29,7 @@ fn by_hand(formula: Formula, z: f64, a: f64, near: f64, far: f64) -> f64 {
     }
 }
 
-fn formulas(near: f64, far: f64) -> [Formula; 11] {
+fn formulas(near: f64, far: f64) -> [Formula; 12] {
     let planes = Planes::new(near, far);
     [
         Formula::One,
@@ -38,6 +38,7 @@ fn formulas(near: f64, far: f64) -> [Formula; 11] {
         Formula::Mb9,
         Formula::Mb10(planes),
         Formula::InvPow { k: 4.0 },
+        Formula::InvPow { k: 3.7 },
         Formula::Exp { k: 0.25 },
         Formula::Fig1,
         Formula::Smoke6,
