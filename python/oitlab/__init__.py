@@ -32,6 +32,7 @@ from .rendering import capture, render, render_many
 from .scene import Camera, Mesh, Scene
 from .splitting import ErrorPart, ErrorSplit, error_split
 from .stress_lab import stress, stress_cases
+from .sweeping import SweepFailed, SweepInterrupted, read_study, sweep, to_xarray
 
 __all__ = [
     "Camera",
@@ -46,6 +47,8 @@ __all__ = [
     "ParamInfo",
     "Scene",
     "Stats",
+    "SweepFailed",
+    "SweepInterrupted",
     "TechniqueInfo",
     "TextureWarning",
     "Transmittance",
@@ -57,12 +60,15 @@ __all__ = [
     "load",
     "order_sensitivity",
     "read_exr",
+    "read_study",
     "render",
     "render_many",
     "scenes",
     "stress",
     "stress_cases",
+    "sweep",
     "techniques",
+    "to_xarray",
     "transmittance",
     "write_exr",
     "write_png",

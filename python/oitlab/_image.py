@@ -45,14 +45,18 @@ def as_image(image: ImageLike, name: str) -> NDArray[Any]:
         ...
     ValueError: image: pixel (x=1, y=0) is not finite: nan in channel 1
     """
+    array = as_shaped_image(image, name)
+    refuse_non_finite(array, name)
+    return array
+
+
+def as_shaped_image(image: ImageLike, name: str) -> NDArray[Any]:
+    """Do what `as_image` does, but let through what is not finite."""
     pixels: Any = image
     array = as_numbers(getattr(pixels, "color", pixels), name)
     if array.ndim != 3 or array.shape[2] != 3:
         raise ValueError(f"{name}: expected shape (H, W, 3), got {array.shape}")
-    if array.dtype.kind != "f":
-        array = array.astype(np.float64)
-    refuse_non_finite(array, name)
-    return array
+    return array if array.dtype.kind == "f" else array.astype(np.float64)
 
 
 def as_numbers(value: ArrayLike, name: str) -> NDArray[Any]:

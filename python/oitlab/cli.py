@@ -1,4 +1,4 @@
-"""The command line: `oitlab render`, `oitlab compare`, `oitlab techniques`, `oitlab demo`, `oitlab stress`.
+"""The command line: `oitlab render`, `compare`, `techniques`, `demo`, `stress` and `sweep`.
 
 A scene is a mesh file or `scene:NAME`, one of the procedural scenes of `oitlab.scenes`. Every error is one
 line on stderr and exit status 2.
@@ -8,25 +8,24 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import json
 import os
-import re
 import sys
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from . import _stress_command
+from . import _stress_command, _sweep_command
+from ._scene_option import PREFIX, add_scene, add_size, scene_of
+from ._variant_text import parse_param, parse_variant, split_variants
 
 if TYPE_CHECKING:
     from .frame import Frame
     from .report import Comparison
     from .scene import Scene
 
-__all__ = ["main"]
+__all__ = ["main", "parse_param", "parse_variant", "split_variants"]
 
-_SCENE_PREFIX = "scene:"
 _INTERRUPTED = 130
 
 
@@ -66,80 +65,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-def parse_variant(text: str) -> tuple[str, dict[str, Any]]:
-    """Read one item of `--techniques`: an id, then parameters after colons; sequences in brackets.
-
-    Parameters
-    ----------
-    text : str
-        Such as "lwboit:bins=64:range=[1,2]".
-
-    Returns
-    -------
-    tuple of str and dict
-
-    Raises
-    ------
-    ValueError
-        A parameter without "=".
-
-    Examples
-    --------
-    >>> parse_variant("lwboit:bins=64:bin_function=tent")
-    ('lwboit', {'bins': 64, 'bin_function': 'tent'})
-    """
-    technique, *settings = text.split(":")
-    return technique.strip(), dict(map(parse_param, settings))
-
-
-def parse_param(text: str) -> tuple[str, Any]:
-    """Read "name=value": a JSON number, true, false or null; several as "[1,2]" or "1,2"; else text.
-
-    Raises
-    ------
-    ValueError
-        No "=" or no name.
-
-    Examples
-    --------
-    >>> parse_param("bins=64"), parse_param("smooth=false"), parse_param("weight=mb7")
-    (('bins', 64), ('smooth', False), ('weight', 'mb7'))
-    >>> parse_param("range=[1,2.5]"), parse_param("range=1,2.5")
-    (('range', (1, 2.5)), ('range', (1, 2.5)))
-    """
-    name, equals, value = text.partition("=")
-    if not equals or not name.strip():
-        raise ValueError(f"parameter {text!r}: expected name=value")
-    return name.strip(), _value(value.strip())
-
-
-def _value(text: str) -> Any:
-    """Read a JSON scalar, or a tuple of them with or without brackets; anything else stays text."""
-    for candidate in (text, f"[{text}]"):
-        with contextlib.suppress(json.JSONDecodeError):
-            parsed = json.loads(candidate)
-            if isinstance(parsed, list) and parsed and not any(map(_is_nested, parsed)):
-                return tuple(parsed)
-            if not isinstance(parsed, list | dict | str):
-                return parsed
-    return text
-
-
-def _is_nested(item: Any) -> bool:
-    return isinstance(item, list | dict | str)
-
-
-def split_variants(text: str) -> list[str]:
-    """Split the list of `--techniques` at the commas outside brackets.
-
-    Examples
-    --------
-    >>> split_variants("wboit,opacity_shadow_maps:range=[1,2]:bins=8")
-    ['wboit', 'opacity_shadow_maps:range=[1,2]:bins=8']
-    """
-    return re.split(r",(?![^\[\]]*\])", text)
-
-
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="oitlab", description="The lab bench for order-independent transparency."
@@ -150,12 +75,13 @@ def _parser() -> argparse.ArgumentParser:
     _add_techniques(commands)
     _add_demo(commands)
     _stress_command.add(commands)
+    _sweep_command.add(commands)
     return parser
 
 
 def _add_render(commands: Any) -> None:
     command = commands.add_parser("render", help="render a scene with one technique")
-    _add_scene(command)
+    add_scene(command)
     command.add_argument(
         "--technique", default="a_buffer", metavar="ID", help="default: a_buffer, the exact image"
     )
@@ -182,7 +108,7 @@ def _add_render(commands: Any) -> None:
 
 def _add_compare(commands: Any) -> None:
     command = commands.add_parser("compare", help="compare techniques with the exact image")
-    _add_scene(command)
+    add_scene(command)
     command.add_argument(
         "--techniques",
         metavar="A,B,...",
@@ -212,24 +138,8 @@ def _add_demo(commands: Any) -> None:
     command.add_argument(
         "-o", "--output", type=Path, default=Path("out/demo"), metavar="FOLDER", help="default: out/demo"
     )
-    _add_size(command)
+    add_size(command)
     command.set_defaults(run=_demo)
-
-
-def _add_scene(command: argparse.ArgumentParser) -> None:
-    command.add_argument("scene", metavar="FILE", help="a mesh file, or scene:NAME (squares, soup, ...)")
-    command.add_argument(
-        "--opacity", type=float, metavar="ALPHA", help="replace every alpha of the file, in [0, 1]"
-    )
-    command.add_argument("--seed", type=int, metavar="N", help="of a procedural scene")
-    command.add_argument("--background", type=float, nargs=3, metavar=("R", "G", "B"), help="linear")
-    _add_size(command)
-
-
-def _add_size(command: argparse.ArgumentParser) -> None:
-    command.add_argument("--width", type=int, default=1280, metavar="PIXELS")
-    command.add_argument("--height", type=int, default=720, metavar="PIXELS")
-    command.add_argument("--threads", type=int, metavar="N", help="default: all")
 
 
 def _render(options: argparse.Namespace) -> None:
@@ -238,7 +148,7 @@ def _render(options: argparse.Namespace) -> None:
 
     targets = _targets(options)
     params = dict(map(parse_param, options.param))
-    scene = _scene(options)
+    scene = scene_of(options)
     jobs = [(options.technique, params), *([(options.reference, {})] if options.reference else [])]
     frame, *exact = render_many(scene, jobs, threads=options.threads)
     for target in targets:
@@ -281,8 +191,8 @@ def _write(target: Path, frame: Frame, exact: Frame | None, options: argparse.Na
 def _compare(options: argparse.Namespace) -> None:
     names = options.techniques
     variants = _all_techniques() if names is None else [parse_variant(text) for text in split_variants(names)]
-    scene = _scene(options)
-    title = Path(options.scene.removeprefix(_SCENE_PREFIX)).name
+    scene = scene_of(options)
+    title = Path(options.scene.removeprefix(PREFIX)).name
     comparison = _measured(scene, variants, title, options.threads, options.reference)
     _print_table(comparison, title)
     if options.output:
@@ -323,30 +233,6 @@ def _all_techniques() -> list[tuple[str, dict[str, Any]]]:
     from .registry import techniques
 
     return [(name, {}) for name in techniques().ids]
-
-
-def _scene(options: argparse.Namespace) -> Scene:
-    changes: dict[str, Any] = {"width": options.width, "height": options.height}
-    if options.background is not None:
-        changes["background"] = tuple(options.background)
-    if not options.scene.startswith(_SCENE_PREFIX):
-        if options.seed is not None:
-            raise ValueError("--seed: only for procedural scenes")
-        from .loading import load
-
-        return load(options.scene, opacity=options.opacity, **changes)
-    if options.opacity is not None:
-        raise ValueError("--opacity: only for mesh files, a procedural scene has its own alphas")
-    make = _procedural(options.scene.removeprefix(_SCENE_PREFIX))
-    return make(seed=options.seed or 0).replace(**changes)
-
-
-def _procedural(name: str) -> Callable[..., Scene]:
-    from .scenes import SCENES
-
-    if name not in SCENES:
-        raise ValueError(f"unknown scene {name!r}; known: {', '.join(SCENES)}")
-    return SCENES[name]
 
 
 def _measured(

@@ -1,0 +1,27 @@
+"""The one place that knows how a user's own techniques travel to other processes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from importlib import import_module
+from typing import Any
+
+from ..registry import techniques
+
+
+def technique_fingerprint(technique: str) -> str | None:
+    """Content digest of a user's own technique; None for those of the core, which its version tells apart."""
+    fingerprint = getattr(techniques().get(technique), "fingerprint", None)
+    return None if fingerprint is None else str(fingerprint)
+
+
+def shippable(names: Iterable[str]) -> list[Any]:
+    """Give what a worker needs to know of the techniques among `names` that are the user's own."""
+    own = [name for name in dict.fromkeys(names) if technique_fingerprint(name)]
+    return [import_module("oitlab.custom").shippable(name) for name in own]
+
+
+def receive(shipped: Iterable[Any]) -> None:
+    """Register in this process what `shippable` gave in another."""
+    for item in shipped:
+        import_module("oitlab.custom").receive(item)
