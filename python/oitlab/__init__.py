@@ -17,6 +17,9 @@ Examples
 True
 """
 
+from typing import TYPE_CHECKING as _TYPE_CHECKING
+from typing import Any as _Any
+
 from . import scenes
 from ._oitlab import __version__
 from .diagnostics import Diagnostics
@@ -33,6 +36,9 @@ from .scene import Camera, Mesh, Scene
 from .splitting import ErrorPart, ErrorSplit, error_split
 from .stress_lab import stress, stress_cases
 from .sweeping import SweepFailed, SweepInterrupted, read_study, sweep, to_xarray
+
+if _TYPE_CHECKING:
+    from . import plot
 
 __all__ = [
     "Camera",
@@ -59,6 +65,7 @@ __all__ = [
     "error_split",
     "load",
     "order_sensitivity",
+    "plot",
     "read_exr",
     "read_study",
     "render",
@@ -73,3 +80,15 @@ __all__ = [
     "write_exr",
     "write_png",
 ]
+
+
+def __getattr__(name: str) -> _Any:
+    if name == "plot":  # matplotlib takes longer to import than all the rest
+        from importlib import import_module
+
+        return import_module(".plot", __name__)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -80,6 +80,9 @@ _FIELDS = (
 class Frame:
     """An image by one technique. Arrays belong to the frame and are writable; row 0 is on top.
 
+    A notebook shows a frame as a picture: 8-bit sRGB, clipped to [0, 1], as `write_png` writes it. One of
+    more than 2048 pixels either way is reduced by a whole factor; pixels that are not finite are magenta.
+
     The fields themselves cannot be set; `replace` makes a changed copy. Frames compare by identity and can be
     pickled. What is given as a function is made when it is first asked for and then kept, so that a rendered
     frame costs nothing that nobody looks at; until then it keeps alive what it was rendered from.
@@ -201,6 +204,11 @@ class Frame:
     def __repr__(self) -> str:
         height, width = self.color.shape[:2]
         return f"Frame({self.technique!r}, {self.params}, {width} x {height}, {self.stats.total_ms:.1f} ms)"
+
+    def _repr_png_(self) -> bytes | None:
+        from .png import picture
+
+        return picture(self.color)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _rebuild, ({name: getattr(self, name) for name in _FIELDS},)
