@@ -42,6 +42,7 @@ def test_it_runs_reduced_and_concludes(path: Path, runner: ModuleType) -> None:
     notebook = runner.execute(path, small=True, timeout=300)
     committed = nbformat.read(path, as_version=4)
     assert pictures(notebook) == pictures(committed) > 0
+    assert not any(output.get("name") == "stderr" for output in outputs(notebook))
     # the numbers in what was found come from the run, so they are there in a reduced one, too
     assert re.search(r"\d", conclusion(notebook))
     assert "nan" not in conclusion(notebook).lower()
