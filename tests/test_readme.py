@@ -34,6 +34,6 @@ def test_every_citation_is_in_the_bibliography() -> None:
     keys = set(re.findall(r"^@\w+\{(\w+),", (ROOT / "references.bib").read_text(), re.MULTILINE))
     for entry in oitlab.techniques():
         assert set(entry.citation) <= keys, entry.id
-    for path in [*ROOT.glob("python/oitlab/*.py"), ROOT / "README.md", ROOT / "DESIGN.md"]:
+    for path in [*ROOT.glob("python/oitlab/**/*.py"), ROOT / "README.md", ROOT / "DESIGN.md"]:
         cited = re.findall(r"\[([A-Z][A-Za-z]+(?:19|20)\d\d)\]", path.read_text())
         assert set(cited) <= keys, path.name

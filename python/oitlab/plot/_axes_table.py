@@ -12,6 +12,7 @@ from .._palette import BLACK
 from ..registry import TechniqueTable, TextTable
 from ..registry import techniques as registry
 from ._style import FONT_SIZE, Plot, Width, inches, style
+from ._table import several
 from ._text import width_of, wrapped
 
 _PAD = 3.0
@@ -65,7 +66,7 @@ def _chosen(techniques: str | Sequence[str] | None) -> TechniqueTable:
     if techniques is None:
         return known
     entries = []
-    for name in [techniques] if isinstance(techniques, str) else techniques:
+    for name in [techniques] if isinstance(techniques, str) else several(techniques, "techniques"):
         entry = known.get(name) if isinstance(name, str) else None
         if entry is None:
             raise ValueError(f"techniques: unknown technique {name!r}; known: {', '.join(known.ids)}")

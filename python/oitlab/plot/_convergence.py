@@ -13,7 +13,18 @@ from numpy.typing import NDArray
 from .._convert import choice, flag
 from .._palette import series
 from ._edges import draw_at_edges, meanings_note, place, small_print
-from ._style import Width, finish, grow, inches, legend_above, limits_of, log_axis, new_axes, style
+from ._style import (
+    Width,
+    finish,
+    grow,
+    inches,
+    legend_above,
+    legend_name,
+    limits_of,
+    log_axis,
+    new_axes,
+    style,
+)
 from ._table import (
     Point,
     Spread,
@@ -238,7 +249,7 @@ def _draw(
     if line.points:
         shown = np.where(inside, x, np.nan), np.where(inside, y, np.nan)
         look: dict[str, Any] = {"linestyle": dash if joined else "none", "marker": marker, "color": color}
-        axes.plot(*shown, label=line.name or None, gid="line", **look)
+        axes.plot(*shown, label=legend_name(line.name) or None, gid="line", **look)
     repeated = np.array([p.runs - p.nan > 1 for p in line.points], dtype=bool)
     if repeated.any():
         _draw_spread(axes, (x, low, high), repeated, color, draw)
@@ -254,10 +265,12 @@ def _draw_baseline(axes: Axes, y: float, name: str, index: int, log: bool, floor
     color, dash, _ = series(index)
     if place(np.array([y]), log).inside[0]:
         line: Any = dash
-        axes.axhline(y, color=color, linestyle=line, linewidth=0.9, label=name, gid="baseline")
+        axes.axhline(y, color=color, linestyle=line, linewidth=0.9, label=legend_name(name), gid="baseline")
         return []
     right = np.array([axes.get_xlim()[1]])
-    return draw_at_edges(axes, right, np.array([y]), (False, log), floor, color=color, label=name)
+    return draw_at_edges(
+        axes, right, np.array([y]), (False, log), floor, color=color, label=legend_name(name)
+    )
 
 
 def _draw_spread(

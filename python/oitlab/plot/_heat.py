@@ -10,10 +10,10 @@ from matplotlib import colormaps
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import BoundaryNorm, Colormap, LogNorm, Normalize
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import MaxNLocator, StrMethodFormatter
 from numpy.typing import NDArray
 
-from .._convert import choice, flag, scalar
+from .._convert import choice, flag, integer, scalar
 from .._image import ImageLike
 from ..fragments import Fragments
 from ..frame import Frame
@@ -90,8 +90,8 @@ def depth_complexity(
         counts = source.fragment_count
     else:
         raise ValueError(f"source must be a Frame or Fragments, got {type(source).__name__}")
-    largest = max(1, int(counts.max()))
-    top = largest if limit is None else int(scalar(limit, "limit"))
+    largest = int(counts.max())
+    top = max(1, largest) if limit is None else integer(limit, "limit")
     if top < 1:
         raise ValueError(f"limit must be >= 1, got {limit}")
     norm, colors = _count_scale(top, flag(log, "log"))
@@ -125,7 +125,7 @@ def error_map(
     pixels_per_degree: float | None = None,
     width: Width | None = None,
 ) -> Figure:
-    """Draw where images differ from the exact one, all on one stated scale.
+    r"""Draw where images differ from the exact one, all on one stated scale.
 
     The scale is the same for every figure unless you change it: 1e-8 to 1 for "squared", 1e-4 to 1 for
     "absolute", both logarithmic, 0 to 10 for the ΔE, 0 to 1 for "flip". The colour bar's ends are pointed
@@ -167,15 +167,15 @@ def error_map(
     >>> scene = oitlab.scenes.blades(width=32, height=18, count=40)
     >>> exact, wboit, mlab = oitlab.render_many(scene, ["a_buffer", "wboit", "mlab"])
     >>> figure = oitlab.plot.error_map([wboit, mlab], exact, "absolute")
-    >>> [axes.get_title() for axes in figure.axes[:2]], figure.axes[2].get_ylabel()
-    (['wboit', 'mlab'], 'largest error of R, G, B (linear RGB, 1 = white)')
+    >>> [axes.get_title() for axes in figure.axes[:2]], figure.axes[2].get_ylabel().split("\n")
+    (['wboit', 'mlab'], ['largest error of R, G, B', '(linear RGB, 1 = white)'])
     """
     images = named_images(frames, "frames")
     choice(metric, "metric", Metric)
     options: dict[str, Any] = {"luminance": luminance, "pixels_per_degree": pixels_per_degree}
     maps = {label: evaluate(image, reference, metric, **options) for label, image in images.items()}
     norm, text = _error_scale(metric, limits, log)
-    across = min(len(maps), 3) if columns is None else int(scalar(columns, "columns"))
+    across = min(len(maps), 3) if columns is None else integer(columns, "columns")
     if across < 1:
         raise ValueError(f"columns must be >= 1, got {columns}")
     size = inches(("single" if across == 1 else "double") if width is None else width)
@@ -211,7 +211,7 @@ def _count_ticks(bar: Any, top: int, norm: Normalize) -> None:
     elif isinstance(norm, LogNorm):
         ticks = [n for power in range(10) for n in (10**power, 2 * 10**power, 5 * 10**power) if n <= top]
         bar.set_ticks(ticks if len(ticks) < 10 else ticks[::3], labels=None)
-        bar.ax.yaxis.set_major_formatter(lambda v, _: f"{v:,.0f}")
+        bar.ax.yaxis.set_major_formatter(StrMethodFormatter("{x:,.0f}"))
         bar.ax.minorticks_off()
     else:
         bar.ax.yaxis.set_major_locator(MaxNLocator(6, integer=True))
@@ -223,7 +223,7 @@ def _error_scale(metric: str, limits: tuple[float, float] | None, log: bool | No
     if limits is not None:
         try:
             low, high = (scalar(value, "limits") for value in limits)
-        except TypeError:
+        except (TypeError, ValueError):
             raise ValueError(f"limits must be two numbers, got {limits!r}") from None
     elif logarithmic and low == 0.0:
         low = 1e-3 * high

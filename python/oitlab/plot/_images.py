@@ -15,6 +15,7 @@ from .._image import as_image, reduced
 from ..frame import Frame
 from ..registry import techniques
 from ._style import FONT_SIZE, PRINT_DPI, Plot, box_edges
+from ._table import several
 from ._variants import name_of
 
 
@@ -23,8 +24,8 @@ def named_images(value: Any, argument: str) -> dict[str, NDArray[Any]]:
     if isinstance(value, Mapping):
         given = [(str(label), image) for label, image in value.items()]
     else:
-        several = [value] if isinstance(value, Frame) or _is_image(value) else list(value)
-        given = [(name, image) for name, image in zip(_names(several), several, strict=True)]
+        given_images = [value] if isinstance(value, Frame) or _is_image(value) else several(value, argument)
+        given = [(name, image) for name, image in zip(_names(given_images), given_images, strict=True)]
     if not given:
         raise ValueError(f"{argument} is empty")
     return {label: as_image(image, f"{argument}[{label!r}]") for label, image in given}
@@ -60,9 +61,14 @@ def _names(images: list[Any]) -> list[str]:
 
 
 def _defaults(technique: str) -> dict[str, Any]:
-    """Params with a default of their own; None stands for one that follows from the others."""
+    """Give the defaults that are values; others are texts that say what they follow from."""
     entry = techniques().get(technique)
-    return {} if entry is None else {p.name: p.default for p in entry.params if p.default is not None}
+    params = () if entry is None else entry.params
+    return {
+        param.name: param.default
+        for param in params
+        if isinstance(param.default, bool | int | float) or f'"{param.default}"' in param.range
+    }
 
 
 def reduced_to(image: NDArray[Any], dots: int, statistic: Any) -> NDArray[np.float64]:
@@ -71,7 +77,7 @@ def reduced_to(image: NDArray[Any], dots: int, statistic: Any) -> NDArray[np.flo
     Examples
     --------
     >>> reduced_to(np.arange(8.0).reshape(1, 8), 2, np.max).tolist()
-    [[3.0, 7.0]]
+    [[1.0, 3.0, 5.0, 7.0]]
     """
     factor = max(1, math.ceil(image.shape[1] / (2 * dots)))
     return reduced(image.astype(np.float64), factor, statistic) if factor > 1 else image.astype(np.float64)

@@ -18,13 +18,18 @@ from numpy.typing import NDArray
 from .._palette import GREY
 from ._style import FONT_SIZE
 
-_DIRECTIONS = ((1, 1), (1, -1), (-1, 1), (-1, -1), (1, 0), (-1, 0), (0, 1), (0, -1))
-"""Where a text lies beside its point, the best first."""
+_DIRECTIONS = (
+    *((1, up, slope) for slope in (0.75, 1.8) for up in (1, -1)),
+    *((-1, up, slope) for slope in (0.75, 1.8) for up in (1, -1)),
+    *((1, 0, 1.0), (-1, 0, 1.0), (0, 1, 1.0), (0, -1, 1.0)),
+)
+"""Where a text lies beside its point, right, up, and how steeply, the best first."""
 _DISTANCES = (3.0, 7.0, 12.0, 18.0, 25.0, 33.0, 42.0, 52.0, 64.0, 78.0)
 """Points (1/72 inch) between a point and its text, the best first."""
 _LINE_FROM = 8.0
 """Farther away than this a thin line says whose text it is."""
-_MARGIN = 1.0
+_MARGIN = 3.0
+"""Pixels between a text and anything else."""
 
 Box = tuple[float, float, float, float]
 """Left, bottom, right, top in pixels."""
@@ -96,10 +101,9 @@ def _best(
 ) -> _Found | None:
     solid, every = (np.array(boxes, dtype=float).reshape(-1, 4) for boxes in (taken[0], taken[0] + taken[1]))
     for distance in _DISTANCES:
-        for right, up in _DIRECTIONS:
+        for right, up, slope in _DIRECTIONS:
             far = distance * scale
-            # sideways a text starts at its point's height, so that short lines stay short
-            offset = (right * far, up * far if right == 0 else up * far * 0.75)
+            offset = right * far, up * far * slope
             left = spot[0] + offset[0] - {1: 0.0, 0: 0.5, -1: 1.0}[right] * size[0]
             low = spot[1] + offset[1] - {1: 0.0, 0: 0.5, -1: 1.0}[up] * size[1]
             box = (left, low, left + size[0], low + size[1])

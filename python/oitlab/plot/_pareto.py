@@ -116,7 +116,7 @@ def pareto(
     width : {"single", "double"} or float
         Of the figure in print: a column (3.3 inches), a page (7), or inches.
     ax : matplotlib.axes.Axes, optional
-        Draw there instead of in a figure of its own.
+        Draw there instead of in a figure of its own. Names are placed for the size that it has then.
 
     Returns
     -------

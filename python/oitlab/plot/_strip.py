@@ -19,6 +19,7 @@ from .._palette import BLUE, GREEN, ORANGE, PINK, RED, SKY
 from ..metrics import METRICS, compare
 from ._images import named_images, reduced_to
 from ._style import FONT_SIZE, PRINT_DPI, Plot, Width, box_edges, inches, number, style
+from ._table import several
 from ._text import wrapped
 
 Inset: TypeAlias = tuple[int, int, int, int]
@@ -143,7 +144,9 @@ def strip(
         name = f"{getattr(reference, 'technique', '')} (reference)".strip()
         images, errors = {name: exact, **images}, {name: [], **errors}
     height, across = next(iter(images.values())).shape[:2]
-    rectangles = [_inset(inset, index, across, height) for index, inset in enumerate(insets)]
+    rectangles = [
+        _inset(inset, index, across, height) for index, inset in enumerate(several(insets, "insets"))
+    ]
     if len(rectangles) > len(_FRAMES):
         raise ValueError(f"insets: at most {len(_FRAMES)} can be told apart, got {len(rectangles)}")
     srgb_bytes(np.zeros(1), exposure)
@@ -167,7 +170,7 @@ def _images(frames: Any, labels: Sequence[str] | None) -> dict[str, NDArray[Any]
         raise ValueError("frames have no pixels")
     if labels is None:
         return images
-    if isinstance(labels, str) or len(labels) != len(images):
+    if isinstance(labels, str) or len(several(labels, "labels")) != len(images):
         raise ValueError(f"labels: expected {len(images)}, one per frame, got {labels!r}")
     if len(set(labels)) < len(labels):
         raise ValueError(f"labels must differ, got {list(labels)!r}")

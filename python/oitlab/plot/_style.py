@@ -13,7 +13,7 @@ import numpy as np
 from matplotlib import style as mpl_style
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogFormatterSciNotation, LogLocator, NullFormatter
+from matplotlib.ticker import LogFormatterSciNotation, LogLocator, NullFormatter, StrMethodFormatter
 
 from .._convert import scalar
 from .._palette import GREY, LIGHT_GREY
@@ -122,6 +122,11 @@ def grow(figure: Figure, ax: Axes | None, lines: int) -> None:
         figure.set_figheight(figure.get_figheight() + lines * 1.45 * FONT_SIZE / 72.0)
 
 
+def legend_name(text: str) -> str:
+    """Give a line's name as legends show it: matplotlib hides those that begin with an underscore."""
+    return f" {text}" if text.startswith("_") else text
+
+
 def legend_above(axes: Axes, handles: list[Any], texts: list[str], title: str | None) -> int:
     """Draw a legend above the axes, in columns that fit; give its number of lines."""
     if not handles and title is None:
@@ -173,7 +178,7 @@ def log_axis(axes: Axes, which: Literal["x", "y"]) -> None:
     narrow = high / low < (1000.0 if which == "x" else 100.0)
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if narrow else (1.0,), numticks=8))
     short = low >= 0.001 and high < 100_000.0
-    axis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:,g}") if short else LogFormatterSciNotation())
+    axis.set_major_formatter(StrMethodFormatter("{x:,g}") if short else LogFormatterSciNotation())
     axis.set_minor_formatter(NullFormatter())
 
 

@@ -50,11 +50,19 @@ def checked_table(data: Any, columns: Iterable[str]) -> pd.DataFrame:
     return data
 
 
+def several(value: Any, argument: str) -> list[Any]:
+    """Give a list of what must be a sequence or another iterable."""
+    try:
+        return list(value)
+    except TypeError:
+        raise ValueError(f"{argument} must be one or several, got {value!r}") from None
+
+
 def names(value: str | Sequence[str] | None, argument: str) -> list[str]:
     """One column's name, several, or none."""
     if value is None:
         return []
-    given = [value] if isinstance(value, str) else list(value)
+    given = [value] if isinstance(value, str) else several(value, argument)
     if not all(isinstance(name, str) for name in given):
         raise ValueError(f"{argument} must be a column's name or several, got {value!r}")
     return given
@@ -121,7 +129,7 @@ def variant_columns(data: pd.DataFrame, over: Sequence[str]) -> list[str]:
     """Columns that tell variants apart: the technique, and every param that differs within one."""
     found = ["technique"] if "technique" in data.columns else []
     groups = [group for _, group in data.groupby("technique", sort=False)] if found else [data]
-    for column in identity(map(str, data.columns)):
+    for column in identity(data):
         if column in ("technique", "scene", *over):
             continue
         if any(_distinct(group[column]) > 1 for group in groups):
@@ -139,7 +147,7 @@ def refuse_mixtures(data: pd.DataFrame, keys: Sequence[Any], over: Sequence[str]
 
     Their median would be a number that belongs to no scene and no technique.
     """
-    watched = [name for name in identity(map(str, data.columns)) if name not in over]
+    watched = [name for name in identity(data) if name not in over]
     groups: dict[Any, list[int]] = {}
     for index, key in enumerate(keys):
         groups.setdefault(key, []).append(index)

@@ -30,7 +30,7 @@ def wrapped(text: str, room: float, size: float) -> list[str]:
     Examples
     --------
     >>> wrapped("stochastic_transparency samples=4", 90.0, 7.0)
-    ['stochastic_', 'transparency samples=4']
+    ['stochastic_transparency', 'samples=4']
     """
     lines = [""]
     for piece in re.findall(r"[^\s_,;/]*[_,;/]?\s*|\s+", text):

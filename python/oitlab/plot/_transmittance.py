@@ -23,6 +23,7 @@ from ._style import (
     grow,
     inches,
     legend_above,
+    legend_name,
     limits_of,
     log_axis,
     new_axes,
@@ -114,7 +115,7 @@ def transmittance(
             color, dash, _ = series(index)
             look: Any = dash
             shown = _drawn(curve.reconstructed, log)
-            axes.plot(z, shown, color=color, linestyle=look, label=label, gid="reconstructed")
+            axes.plot(z, shown, color=color, linestyle=look, label=legend_name(label), gid="reconstructed")
         axes.vlines(
             at, 0.97, 1.0, transform=axes.get_xaxis_transform(), color=GREY, linewidth=0.5, gid="fragments"
         )
@@ -138,7 +139,7 @@ def _pixel(fragments: Fragments, pixel: tuple[int, int] | None) -> tuple[int, in
         deepest = f"the deepest pixel is ({x}, {y})"
         try:
             x, y = (integer(value, "pixel") for value in pixel)
-        except TypeError:
+        except (TypeError, ValueError):
             raise ValueError(f"pixel must be a pair (x, y), got {pixel!r}") from None
         if not (0 <= x < fragments.width and 0 <= y < fragments.height):
             raise ValueError(f"pixel ({x}, {y}) is outside the {fragments.width} x {fragments.height} image")

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from functools import cache
+from typing import TYPE_CHECKING
 
 from ..registry import techniques
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 LABELS = {
     "mse": "MSE (linear RGB, squared)",
@@ -20,6 +22,7 @@ LABELS = {
     "factor": "MSE of wboit / MSE (ratio)",
     "resolve_ms": "time to resolve (ms)",
     "raster_ms": "time to rasterise (ms)",
+    "raster_share_ms": "time to rasterise, shared (ms)",
     "total_ms": "time in all (ms)",
     "bytes_per_pixel": "memory (bytes per pixel)",
     "bytes_per_pixel_measured": "memory, measured (bytes per pixel)",
@@ -43,9 +46,8 @@ ROUNDING = {"mse": 1e-14, "rmse": 1e-7, "max_error": 1e-7, "mse_255": 65025e-14}
 HIGHER_IS_BETTER = {"psnr", "factor"}
 
 
-@cache
 def param_types() -> dict[str, str]:
-    """Every technique's params, and what Python type each has."""
+    """Every technique's params, and what Python type each has; asked each time, since techniques may come."""
     return {param.name: param.type for entry in techniques() for param in entry.params}
 
 
@@ -66,17 +68,17 @@ def label(column: str) -> str:
     return column + unit
 
 
-def identity(columns: Iterable[str]) -> list[str]:
+def identity(table: pd.DataFrame) -> list[str]:
     """Give the columns that say what was rendered, not what came out: scene, technique, params, seed.
+
+    A table that lists them itself in `attrs["keys"]`, as those of `oitlab.sweep` do, is believed, too.
 
     Examples
     --------
-    >>> identity(["scene", "technique", "weight", "weight.k", "seed", "mse", "total_ms_spread"])
+    >>> import pandas as pd
+    >>> identity(pd.DataFrame(columns=["scene", "technique", "weight", "weight.k", "seed", "mse"]))
     ['scene', 'technique', 'weight', 'weight.k', 'seed']
     """
-    own = {"scene", "technique", "seed"}
-    return [
-        name
-        for name in columns
-        if name in own or name in param_types() or name.partition(".")[0] in param_types()
-    ]
+    known = {"scene", "technique", "seed", *param_types()}
+    keys = set(map(str, table.attrs.get("keys", ())))
+    return [n for n in map(str, table.columns) if n in keys or n in known or n.partition(".")[0] in known]

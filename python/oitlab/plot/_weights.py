@@ -14,7 +14,19 @@ from .._palette import DASHES, series
 from ..fragments import Fragments
 from ..registry import techniques
 from ..rendering import render
-from ._style import Width, finish, grow, inches, legend_above, limits_of, log_axis, new_axes, style
+from ._style import (
+    Width,
+    finish,
+    grow,
+    inches,
+    legend_above,
+    legend_name,
+    limits_of,
+    log_axis,
+    new_axes,
+    style,
+)
+from ._table import several
 from ._variants import value_name
 
 if TYPE_CHECKING:
@@ -169,8 +181,8 @@ def _named(weights: Any) -> dict[str, dict[str, Any]]:
     if isinstance(weights, Mapping) and not _is_params(weights):
         given = [(str(label), _params(weight)) for label, weight in weights.items()]
     else:
-        several = [weights] if _is_one(weights) else list(weights)
-        given = [(_label(params), params) for params in map(_params, several)]
+        all_weights = [weights] if _is_one(weights) else several(weights, "weights")
+        given = [(_label(params), params) for params in map(_params, all_weights)]
     if not given:
         raise ValueError("weights is empty")
     labels = [label for label, _ in given]
@@ -220,7 +232,7 @@ def _depths(z: ArrayLike | None, log: bool) -> NDArray[np.float32]:
 
 
 def _coverages(alpha: Any) -> list[float]:
-    values = [alpha] if np.ndim(alpha) == 0 else list(alpha)
+    values = [alpha] if np.ndim(alpha) == 0 else several(alpha, "alpha")
     coverages = [scalar(value, "alpha") for value in values]
     if not coverages or len(set(coverages)) < len(coverages):
         raise ValueError(f"alpha must be a number or several different ones, got {alpha!r}")
@@ -243,7 +255,7 @@ def _draw(
     several = len(alpha[1]) > 1
     look: Any = DASHES[alpha[0]] if several else dash
     label = f"{weight[1]}, α = {alpha[1][alpha[0]]:g}" if several else weight[1]
-    axes.plot(z, values, color=color, linestyle=look, label=label, gid="weight")
+    axes.plot(z, values, color=color, linestyle=look, label=legend_name(label), gid="weight")
 
 
 def _weight_label(coverages: list[float]) -> str:
