@@ -241,31 +241,22 @@ def _closable(results: Iterator[Any]) -> Any:
     return results
 
 
-def _bar(total: int, *, show: bool) -> Any:
-    """Make a progress bar; one that is not shown must not import what warns in notebooks."""
-    from tqdm import TqdmWarning, tqdm
-
-    kind: Any = tqdm
-    if show:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", TqdmWarning)  # no ipywidgets: a bar of text
-            from tqdm.auto import tqdm as kind
-    return kind(total=total, unit="variant", desc="sweep", disable=not show)
-
-
 class _Sheet:
     """The rows of a sweep as they are filled in."""
 
     def __init__(
         self, wanted: Sequence[Wanted], study: Study | None, stack: ExitStack, *, show: bool
     ) -> None:
+        from tqdm.auto import tqdm
+
         self._wanted = wanted
         self._study = study
         self._rows: dict[tuple[str, str], Row] = {}
         self._scenes: dict[str, list[str]] = {}
         for row in wanted:
             self._scenes.setdefault(row.key, []).append(row.scene)
-        self._bar = stack.enter_context(closing(_bar(len(wanted), show=show)))
+        bar = tqdm(total=len(wanted), unit="variant", desc="sweep", disable=not show)
+        self._bar = stack.enter_context(closing(bar))
 
     def take_from_store(self) -> None:
         """Fill in what the study has."""
