@@ -7,6 +7,7 @@ import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import ExitStack, closing
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from .._convert import count, flag
@@ -247,7 +248,8 @@ class _Sheet:
     def __init__(
         self, wanted: Sequence[Wanted], study: Study | None, stack: ExitStack, *, show: bool
     ) -> None:
-        from tqdm.auto import tqdm
+        # tqdm.auto warns in notebooks without widgets, which a silent sweep does not need
+        tqdm: Any = import_module("tqdm.auto" if show else "tqdm").tqdm
 
         self._wanted = wanted
         self._study = study
