@@ -492,6 +492,26 @@ def test_pareto_sums_seeds_up() -> None:
     assert spread[:, 1] == pytest.approx([1e-2, 3e-2])
 
 
+def test_pareto_names_no_param_that_is_merely_inactive_in_some_rows() -> None:
+    table = pd.DataFrame(
+        {
+            "technique": "wboit",
+            "weight": ["one", "mb7", "mb10"],
+            "weight_scale": [None, 1.0, 1.0],
+            "near": [None, None, 0.1],
+            "total_ms": [3.0, 2.0, 1.0],
+            "mse": [0.01, 0.1, 0.2],
+        }
+    )
+    assert {t.get_text() for t in labels(plot.pareto(table))} == {
+        "wboit weight=one",
+        "wboit weight=mb7",
+        "wboit weight=mb10",
+    }
+    alone = table.assign(weight="mb7", near=None)[:2]
+    assert {t.get_text() for t in labels(plot.pareto(alone))} == {"wboit", "wboit weight_scale=1"}
+
+
 def test_pareto_names_variants_by_what_differs() -> None:
     table = pd.DataFrame(
         {

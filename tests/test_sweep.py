@@ -312,6 +312,15 @@ class TestRefused:
         assert rendered == []
         assert list(tmp_path.iterdir()) == []
 
+    def test_a_silent_sweep_leaves_widgets_alone(self):
+        # tqdm.auto warns in notebooks without widgets, which would end up beside a silent sweep's table
+        program = (
+            "import sys, oitlab; scene = oitlab.scenes.blades(width=8, height=6, count=3); "
+            "oitlab.sweep(scene, ['wboit'], progress=False); print('tqdm.auto' in sys.modules)"
+        )
+        done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+        assert (done.stdout, done.stderr) == ("False\n", "")
+
     def test_an_error_on_the_way_keeps_what_is_finished(self, small_scene):
         calls = []
 

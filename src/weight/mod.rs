@@ -158,11 +158,19 @@ fn inverse_power(at: &Fragments<'_>, weights: &mut [f32], k: f32) {
         4.0 => fill(at, weights, |z, _| square(square(z.recip()))),
         5.0 => fill(at, weights, |z, _| square(square(z.recip())) * z.recip()),
         6.0 => fill(at, weights, |z, _| square(square(z.recip()) * z.recip())),
-        #[expect(clippy::cast_possible_truncation, reason = "weights are evaluated in f32")]
-        _ => fill(at, weights, |z, _| {
-            // what is beyond is beyond the bounds of weights, too
-            exp((-f64::from(k) * ln(f64::from(z))).clamp(-100.0, 100.0)) as f32
-        }),
+        _ => any_inverse_power(at, weights, k),
+    }
+}
+
+/// `z^-k` for any k: a plain loop of its own, which becomes one of whole vectors.
+#[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
+#[expect(clippy::cast_possible_truncation, reason = "weights are evaluated in f32")]
+fn any_inverse_power(at: &Fragments<'_>, weights: &mut [f32], k: f32) {
+    let k = f64::from(k);
+    for (weight, &z) in weights.iter_mut().zip(at.depth) {
+        let seen = f64::from(at.seen.see(z));
+        // what the clamp changes is beyond the bounds of weights, too
+        *weight = bounded(exp((-k * ln(seen)).clamp(-100.0, 100.0)) as f32);
     }
 }
 

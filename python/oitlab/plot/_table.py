@@ -126,15 +126,31 @@ def name_rows(data: pd.DataFrame, columns: Sequence[str]) -> list[str]:
 
 
 def variant_columns(data: pd.DataFrame, over: Sequence[str]) -> list[str]:
-    """Columns that tell variants apart: the technique, and every param that differs within one."""
+    """Columns that tell variants apart: the technique, and every param that differs within one.
+
+    That a param is missing in some rows, because others make it inactive, is no difference worth telling,
+    unless it is the only one.
+    """
     found = ["technique"] if "technique" in data.columns else []
     groups = [group for _, group in data.groupby("technique", sort=False)] if found else [data]
-    for column in identity(data):
-        if column in ("technique", "scene", *over):
-            continue
-        if any(_distinct(group[column]) > 1 for group in groups):
+    params = [column for column in identity(data) if column not in ("technique", "scene", *over)]
+    found += [c for c in params if any(_distinct(group[c].dropna()) > 1 for group in groups)]
+    for column in params:
+        if column not in found and _separates(groups, found, column):
             found.append(column)
     return found
+
+
+def _separates(groups: Iterable[pd.DataFrame], found: Sequence[str], column: str) -> bool:
+    """Whether a column tells rows apart that the ones found do not."""
+    for group in groups:
+        titles = name_rows(group, found) if found else [""] * len(group)
+        seen: dict[str, set[bool]] = {}
+        for title, value in zip(titles, group[column], strict=True):
+            seen.setdefault(title, set()).add(_is_missing(value))
+        if any(len(kinds) > 1 for kinds in seen.values()):
+            return True
+    return False
 
 
 def _distinct(values: Any) -> int:

@@ -8,6 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import ExitStack, closing
 from functools import partial
+from importlib import import_module
 from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
@@ -246,7 +247,8 @@ class _Sheet:
     def __init__(
         self, wanted: Sequence[Wanted], study: Study | None, stack: ExitStack, *, show: bool
     ) -> None:
-        from tqdm.auto import tqdm
+        # tqdm.auto warns in notebooks without widgets, which a silent sweep does not need
+        tqdm: Any = import_module("tqdm.auto" if show else "tqdm").tqdm
 
         self._wanted = wanted
         self._study = study
