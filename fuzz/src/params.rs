@@ -58,7 +58,9 @@ pub fn choice(spec: Option<&ParamSpec>, i: usize) -> Value {
             let names: Vec<_> = formats.iter().map(|format| format.name()).collect();
             Value::Text(names[i % names.len()].to_owned())
         }
-        Some(Kind::Choice(words) | Kind::Function { names: words, .. }) => Value::Text(words[i % words.len()].to_owned()),
+        Some(Kind::Choice(words) | Kind::Function { names: words, .. }) => {
+            Value::Text(words[i % words.len()].to_owned())
+        }
         Some(Kind::IntChoice(numbers)) => Value::Int(numbers[i % numbers.len()]),
         Some(Kind::DepthRange) => Value::Text(["pixel", "scene"][i % 2].to_owned()),
         _ => Value::Int(i as i64),
