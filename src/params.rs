@@ -511,6 +511,12 @@ impl Params {
         pairs.filter(|(_, active)| **active).map(|(pair, _)| pair.clone()).collect()
     }
 
+    /// The names of the params that do nothing under the others.
+    pub fn inactive(&self) -> impl Iterator<Item = &str> + '_ {
+        let pairs = self.values.iter().zip(&self.active);
+        pairs.filter(|(_, active)| !**active).map(|((name, _), _)| &**name)
+    }
+
     /// Where the user's own functions are reported about.
     pub fn reports(&self) -> &Reports {
         &self.reports
@@ -655,6 +661,7 @@ mod tests {
         let one = checked(&[("k", Input::Int(3))]).unwrap().resolve(SPECS, &VIEW);
         let two = checked(&[("k", Input::Int(5))]).unwrap().resolve(SPECS, &VIEW);
         assert_eq!(one.identity(), two.identity());
+        assert_eq!(one.inactive().collect::<Vec<_>>(), ["k"]);
         let b = ("mode", Input::Text("b".into()));
         let one = checked(&[b.clone(), ("k", Input::Int(3))]).unwrap().resolve(SPECS, &VIEW);
         let two = checked(&[b, ("k", Input::Int(5))]).unwrap().resolve(SPECS, &VIEW);

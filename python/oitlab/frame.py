@@ -72,6 +72,7 @@ _FIELDS = (
     "transmittance",
     "technique",
     "params",
+    "inactive_params",
     "scene_hash",
     "stats",
     "first_depth",
@@ -100,6 +101,8 @@ class Frame:
         The technique's id; aliases are resolved.
     params : dict
         Every parameter with its value, defaults included.
+    inactive_params : frozenset of str, optional
+        Names of those that do nothing under the others, such as `weight_k` with `weight="mb7"`.
     scene_hash : str, or a function that gives it
         `content_hash` of what was rendered.
     stats : Stats
@@ -133,11 +136,13 @@ class Frame:
         first_depth: Later[NDArray[np.float32]],
         fragment_count: Later[NDArray[np.uint32]],
         diagnostics: Diagnostics | None = None,
+        inactive_params: frozenset[str] = frozenset(),
     ) -> None:
         self._color: _Cell[Floats] = _Cell(color)
         self._transmittance: _Cell[Floats] = _Cell(transmittance)
         self._technique = technique
         self._params = params
+        self._inactive_params = inactive_params
         self._scene_hash = _Cell(scene_hash)
         self._stats = stats
         self._first_depth = _Cell(first_depth)
@@ -163,6 +168,11 @@ class Frame:
     def params(self) -> dict[str, Any]:
         """Every parameter with its value."""
         return self._params
+
+    @property
+    def inactive_params(self) -> frozenset[str]:
+        """Names of the parameters that do nothing under the others."""
+        return self._inactive_params
 
     @property
     def scene_hash(self) -> str:

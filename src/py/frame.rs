@@ -57,6 +57,10 @@ impl PyFrame {
         Ok(dict)
     }
     #[getter]
+    fn inactive_params(&self) -> Vec<String> {
+        self.frame.params.inactive().map(str::to_owned).collect()
+    }
+    #[getter]
     fn source_hash(&self, py: Python<'_>) -> String {
         py.detach(|| self.source.content_hash())
     }

@@ -6,7 +6,6 @@ any work, and so that no rule about params is written down twice.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -15,7 +14,7 @@ import numpy as np
 
 from ..fragments import Fragments
 from ..frame import Frame
-from ..registry import ParamInfo, techniques
+from ..registry import techniques
 from ..rendering import checked_variant, render, render_many
 from ..scene import Scene
 from .custom import technique_fingerprint
@@ -66,7 +65,7 @@ def bound(
     probe = _Probe(source)
     given = list(_seeded(requests, seeds))
     frames = probe.frames(given)
-    variants = (probe.variant(request, frame.params) for request, frame in zip(given, frames, strict=True))
+    variants = (probe.variant(request, frame) for request, frame in zip(given, frames, strict=True))
     distinct: dict[str, Variant] = {}
     for variant in variants:
         distinct.setdefault(variant.identity, variant)
@@ -89,7 +88,6 @@ class _Probe:
 
     def __init__(self, source: Scene | Fragments) -> None:
         self.pixel = _empty_pixel(source)
-        self._inactive: dict[str, frozenset[str]] = {}
         self._fingerprints: dict[str, str | None] = {}
 
     def frames(self, requests: Sequence[Request]) -> list[Frame]:
@@ -97,64 +95,15 @@ class _Probe:
         chunks = (requests[start : start + _AT_ONCE] for start in range(0, len(requests), _AT_ONCE))
         return [frame for chunk in chunks for frame in render_many(self.pixel, chunk, threads=1)]
 
-    def variant(self, request: Request, resolved: Mapping[str, Any]) -> Variant:
+    def variant(self, request: Request, frame: Frame) -> Variant:
         technique, params = request
-        inactive = self._inactive_params(technique, params, resolved)
+        resolved, inactive = frame.params, frame.inactive_params
         active = {name: params[name] if callable(params.get(name)) else value
                   for name, value in resolved.items() if name not in inactive}  # fmt: skip
-        dotted = {name: value for name, value in params.items() if name not in resolved}
         if technique not in self._fingerprints:
             self._fingerprints[technique] = technique_fingerprint(technique)
-        identity = canonical([technique, self._fingerprints[technique], {**dotted, **active}])
+        identity = canonical([technique, self._fingerprints[technique], active])
         return Variant(technique, checked_variant((technique, params))[1], inactive, identity)
-
-    def _inactive_params(
-        self, technique: str, params: Mapping[str, Any], resolved: Mapping[str, Any]
-    ) -> frozenset[str]:
-        modes = {name: _coarse(value) for name, value in resolved.items()}
-        key = canonical([technique, modes, {name: v for name, v in params.items() if callable(v)}])
-        if key not in self._inactive:
-            table = techniques()[technique].params
-            self._inactive[key] = frozenset(
-                p.name for p in table if self._is_inactive(technique, params, resolved, p)
-            )
-        return self._inactive[key]
-
-    def _is_inactive(
-        self, technique: str, params: Mapping[str, Any], resolved: Mapping[str, Any], param: ParamInfo
-    ) -> bool:
-        """Whether the core takes two variants that differ in this param alone for the same."""
-        if callable(params.get(param.name)):
-            return False
-        for other in _others(param, resolved.get(param.name)):
-            pair = [(technique, dict(params)), (technique, {**params, param.name: other})]
-            try:
-                frames = render_many(self.pixel, pair, threads=1)
-            except ValueError:  # not a value of this param, or not beside the other params
-                continue
-            return any(frame.stats.skipped.get("duplicate_variants") for frame in frames)
-        return False
-
-
-def _coarse(value: Any) -> Any:
-    """Keep of a value what may decide whether another param acts: modes, small counts, no number's size."""
-    if isinstance(value, float):
-        return bool(value)
-    return min(value, 16) if isinstance(value, int) and not isinstance(value, bool) else value
-
-
-def _others(param: ParamInfo, value: Any) -> Iterator[Any]:
-    """Values that a param may have instead of `value`; the core refuses those that it may not."""
-    candidates: list[Any] = re.findall(r'"([^"]*)"', param.range)
-    if isinstance(value, bool):
-        candidates.append(not value)
-    elif isinstance(value, int | float):
-        half = value / 2 if isinstance(value, float) else value // 2
-        numbers = map(float, re.findall(r"-?\d+\.?\d*(?:e-?\d+)?", param.range))
-        candidates += [value + 1, value - 1, 2 * value, half]
-        candidates += [int(number) if number.is_integer() else number for number in numbers]
-    candidates += [True, 1, 0.25, 0.5, 1.5, (1.0, 2.0), (1.5, 2.5), (0.25, 0.5, 0.75)]
-    return (other for other in candidates if other != value)
 
 
 def _empty_pixel(source: Scene | Fragments) -> Scene | Fragments:
@@ -169,4 +118,4 @@ def resolved_identity(source: Scene | Fragments, request: Request) -> str:
     """Identity of one request, for a reference."""
     probe = _Probe(source)
     frame = render(probe.pixel, *request, threads=1)
-    return probe.variant((frame.technique, request[1]), frame.params).identity
+    return probe.variant((frame.technique, request[1]), frame).identity
