@@ -314,6 +314,7 @@ def _frame(raw: _oitlab.Frame, bound: Bound) -> Frame:
         transmittance=lambda: raw.transmittance,
         technique=raw.technique,
         params=raw.params if bound.definition is None else bound.params,
+        inactive_params=frozenset(raw.inactive_params),
         scene_hash=lambda: raw.source_hash,
         stats=stats,
         first_depth=lambda: raw.first_depth,
