@@ -39,6 +39,7 @@ from ._table import (
     quantiles,
     refuse_mixtures,
     refuse_negative,
+    rows_of,
 )
 from ._units import label
 
@@ -210,17 +211,20 @@ def _lines(
     at = ["" if np.isnan(place) else f"{place!r}" for place in places]
     keys = list(zip(owners, at, strict=True))
     refuse_mixtures(table, keys, [*over, x], "choose among the rows, or name it in hue or over")
-    lines = []
-    for owner in dict.fromkeys(owners):
-        mine = np.array([name == owner for name in owners])
-        where = np.unique(places[mine & ~np.isnan(places)])
-        points = [gather(float(place), values[mine & (places == place)], spread) for place in where]
-        without = values[mine & np.isnan(places)]
-        baseline = [gather(np.nan, without, spread)] if without.size else []
-        lines.append(_Line(owner, points, baseline))
-    if len(lines) > _MOST_LINES:
-        raise ValueError(f"hue makes {len(lines)} lines; more than {_MOST_LINES} cannot be told apart")
-    return lines
+    mine = rows_of(owners)
+    if len(mine) > _MOST_LINES:
+        raise ValueError(f"hue makes {len(mine)} lines; more than {_MOST_LINES} cannot be told apart")
+    return [_Line(owner, *_points(places[rows], values[rows], spread)) for owner, rows in mine.items()]
+
+
+def _points(
+    places: NDArray[np.float64], values: NDArray[np.float64], spread: Spread
+) -> tuple[list[Point], list[Point]]:
+    """Gather one line's points, from left to right, and that of its rows without the param."""
+    missing = np.isnan(places)
+    there, found = places[~missing], values[~missing]
+    points = [gather(place, found[rows], spread) for place, rows in sorted(rows_of(there.tolist()).items())]
+    return points, [gather(np.nan, values[missing], spread)] if missing.any() else []
 
 
 def _limit(axes: Axes, lines: list[_Line], log: tuple[bool, bool], texts: int | None) -> None:

@@ -30,6 +30,7 @@ from ._table import (
     quantiles,
     refuse_mixtures,
     refuse_negative,
+    rows_of,
     variant_columns,
 )
 from ._units import HIGHER_IS_BETTER, label
@@ -39,6 +40,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 Labels = Literal["front", "all", "none"]
+_LOST = "not named, for lack of room: "
+_MOST_NOTES = 4
+"""Lines of names that had no room; how many more there are is said."""
 _Scale: TypeAlias = tuple[tuple[bool, bool], float]
 """Which axes are logarithmic, and from where on down an error counts as zero."""
 
@@ -84,9 +88,9 @@ def pareto(
     A variant is beaten by one that is better in one and no worse in the other. Less is better on both axes,
     except for `psnr` and `factor`. Rows of one variant (several seeds) are one point, their median, with a
     line from the smallest to the largest error, or whatever `spread` asks for. Names never cover each
-    other, a point or the front; those that have no room are listed below the axes. Zeros on a logarithmic
-    axis, such as the error of an exact technique, and infinities are hollow triangles on the axis's edge;
-    what is NaN is counted below the axes.
+    other, a point or the front; those that have no room are listed below the axes, in four lines at most.
+    Zeros on a logarithmic axis, such as the error of an exact technique, and infinities are hollow triangles
+    on the axis's edge; what is NaN is counted below the axes.
 
     Parameters
     ----------
@@ -189,11 +193,10 @@ def _variants(
     refuse_mixtures(table, keys, over, "choose among the rows, or name it in name or over")
     x, y = numbers_of.x, numbers_of.y
     found = []
-    for key in dict.fromkeys(keys):
-        rows = np.array([other == key for other in keys])
+    for key, rows in rows_of(keys).items():
         across, up = gather(0.0, x[rows], "range"), gather(0.0, y[rows], spread)
         missing = int((np.isnan(x[rows]) | np.isnan(y[rows])).sum())
-        found.append(_Variant(*key, across.y, up.y, up.low, up.high, int(rows.sum()), missing))
+        found.append(_Variant(*key, across.y, up.y, up.low, up.high, len(rows), missing))
     return found
 
 
@@ -344,4 +347,9 @@ def _pixel(axes: Axes, variant: _Variant, log: tuple[bool, bool]) -> NDArray[np.
 def _wrapped(lost: list[str], figure: Figure) -> list[str]:
     """List the names without room, in lines that the figure has room for."""
     letters = max(20, int((figure.get_figwidth() * 72 - 50) / (0.6 * FONT_SIZE)))
-    return wrap("not named, for lack of room: " + ", ".join(lost), letters) if lost else []
+    lines = wrap(_LOST + ", ".join(lost), letters)
+    kept = len(lost)
+    while len(lines) > _MOST_NOTES:  # a footnote as tall as the axes would be no footnote
+        kept = min(kept - 1, kept * _MOST_NOTES // len(lines))
+        lines = wrap(f"{_LOST}{', '.join(lost[:kept])} and {len(lost) - kept:,} more", letters)
+    return lines if lost else []

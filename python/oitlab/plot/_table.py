@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Hashable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from ._units import ROUNDING, identity
 if TYPE_CHECKING:
     import pandas as pd
 
+_Key = TypeVar("_Key", bound=Hashable)
 Spread: TypeAlias = Literal["range", "quartiles"] | tuple[float, float]
 
 
@@ -154,8 +155,27 @@ def _separates(groups: Iterable[pd.DataFrame], found: Sequence[str], column: str
 
 
 def _distinct(values: Any) -> int:
-    """Count different values; by their text, since some cannot be hashed."""
-    return len({"" if _is_missing(value) else f"{type(value).__name__} {value!r}" for value in values})
+    """Count different values."""
+    return len(set(_fingerprints(values)))
+
+
+def _fingerprints(values: Iterable[Any]) -> list[str]:
+    """Give values by their text, since some cannot be hashed."""
+    return ["" if _is_missing(value) else f"{type(value).__name__} {value!r}" for value in values]
+
+
+def rows_of(keys: Iterable[_Key]) -> dict[_Key, NDArray[np.intp]]:
+    """Give the rows of each key, in the order in which keys appear.
+
+    Examples
+    --------
+    >>> {key: rows.tolist() for key, rows in rows_of(["b", "a", "b"]).items()}
+    {'b': [0, 2], 'a': [1]}
+    """
+    found: dict[_Key, list[int]] = {}
+    for row, key in enumerate(keys):
+        found.setdefault(key, []).append(row)
+    return {key: np.array(rows, dtype=np.intp) for key, rows in found.items()}
 
 
 def refuse_mixtures(data: pd.DataFrame, keys: Sequence[Any], over: Sequence[str], advice: str) -> None:
@@ -164,14 +184,14 @@ def refuse_mixtures(data: pd.DataFrame, keys: Sequence[Any], over: Sequence[str]
     Their median would be a number that belongs to no scene and no technique.
     """
     watched = [name for name in identity(data) if name not in over]
-    groups: dict[Any, list[int]] = {}
-    for index, key in enumerate(keys):
-        groups.setdefault(key, []).append(index)
-    for rows in groups.values():
-        for column in watched if len(rows) > 1 else ():
-            values = data[column].iloc[rows]
-            if _distinct(values) > 1:
-                shown = ", ".join(dict.fromkeys(text(v) for v in values))
+    groups = [rows for rows in rows_of(keys).values() if len(rows) > 1]
+    for column in watched if groups else ():
+        prints = _fingerprints(data[column])
+        if len(set(prints)) == 1:
+            continue
+        for rows in groups:
+            if len({prints[row] for row in rows}) > 1:
+                shown = ", ".join(dict.fromkeys(text(v) for v in data[column].iloc[rows]))
                 raise ValueError(f"rows of one point differ in {column!r} ({shown}): {advice}")
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -13,7 +14,8 @@ from .._convert import array, flag, scalar
 from .._palette import DASHES, series
 from ..fragments import Fragments
 from ..registry import techniques
-from ..rendering import render
+from ..rendering import WeightWarning, render
+from ._edges import small_print
 from ._style import (
     Width,
     finish,
@@ -39,8 +41,12 @@ MCGUIRE = ("mb7", "mb8", "mb9", "mb10")
 _DEPTHS = (0.1, 500.0)
 """The range that MB13 gives for its weights, and Fig. 3 shows."""
 _SAMPLES = 600
-_FAINT = (1e-12, 1e-6)
-"""Alphas of the fragment that shows the absolute size of a weight; see `_absolute`."""
+_FAINT = (1e-6, 1e-12, 1e-24, 1e-36)
+"""Alphas of the fragment that shows the absolute size of a weight, of up to 1e30; see `_absolute`."""
+_LEAST = 1e-30
+"""What `wboit` takes for a weight of one's own that is 0, negative or no number."""
+_PARTS = ("weight", "weight_k", "weight_scale", "weight_shift", "near", "far")
+"""Params of `wboit` that decide a weight, beside `weight.<name>`; others decide what is made of it."""
 _LISTING3 = 1e-4
 """The sum of weights by which MB13's Listing 3 divides at least."""
 
@@ -65,7 +71,9 @@ def weight_curves(
     ----------
     weights : one, several, or a mapping of labels to weights
         A weight is whatever the param `weight` of `wboit` takes ("mb7", ...), a dict of params (`{"weight":
-        "inv_pow", "weight_k": 5}`), or a pair of both (`("inv_pow", {"weight_k": 5})`).
+        "inv_pow", "weight_k": 5}`), or a pair of both (`("inv_pow", {"weight_k": 5})`). Params are `weight`,
+        `weight.<name>`, `weight_k`, `weight_scale`, `weight_shift`, `near` and `far`. Where a function of
+        your own is no weight (0, negative, no number, or 1e-30 and less) its line has a gap.
     z : (N,) floats > 0, optional
         View-space depths, in scene units. Left out: 600 from 0.1 to 500, evenly spaced on the axis.
     alpha : float or several, in (0, 1]
@@ -86,7 +94,8 @@ def weight_curves(
     Raises
     ------
     ValueError
-        Depths or alphas out of range, no weights, or params that `wboit` would refuse.
+        Depths or alphas out of range; no weights, or two of one label; a param that is no part of a weight,
+        such as `format`; params that `wboit` would refuse.
 
     Examples
     --------
@@ -121,7 +130,10 @@ def weight_curves(
         for which, log in zip(("x", "y"), logs, strict=True):
             if log:
                 log_axis(axes, "x" if which == "x" else "y")
-        grow(figure, ax, legend_above(axes, *axes.get_legend_handles_labels(), None))
+        has_gaps = any(np.isnan(values).any() for _, _, values in curves)
+        notes = ["gaps: no weight there (0, negative, no number, or 1e-30 and less)"] if has_gaps else []
+        small_print(axes, notes)
+        grow(figure, ax, len(notes) + legend_above(axes, *axes.get_legend_handles_labels(), None))
         finish(axes)
     return figure
 
@@ -129,7 +141,9 @@ def weight_curves(
 def evaluate(
     params: Mapping[str, Any], z: NDArray[np.float32], alpha: float, near: float, far: float
 ) -> NDArray[np.float64]:
-    """Give the weights that `wboit` has under these params, from images; exact to float32's rounding.
+    """Give the weights that `wboit` has under these params, from images; NaN where there is none.
+
+    They are exact to float32's rounding, in which a function of one's own is evaluated.
 
     A pixel of two fragments with red and green light of 1 shows the ratio of their weights, whatever their
     coverage: red is w1 / sum(w a) times what is covered, green w2 / sum(w a) times the same. The green one is
@@ -140,22 +154,44 @@ def evaluate(
     >>> evaluate({"weight": "fig1"}, np.array([5.0, 15.0], np.float32), 0.5, 0.1, 100.0).round(6).tolist()
     [0.01, 0.0025]
     """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", WeightWarning)  # gaps say it, and where
+        faint, known = _anchor(params, float(z[0]), near, far)
+        found = _ratios(params, z, (alpha, faint), near, far) * known
+    return np.where(np.abs(found / _LEAST - 1.0) < 1e-5, np.nan, found)
+
+
+def _ratios(
+    params: Mapping[str, Any], z: NDArray[np.float32], alphas: tuple[float, float], near: float, far: float
+) -> NDArray[np.float64]:
+    """Divide the weight at each depth by that at the first, each with its own alpha."""
     count = len(z)
+    depth = np.stack([z, np.full(count, z[0])], axis=1).ravel()
+    coverage = np.tile(np.array(alphas, np.float32), count)
+    color = np.tile(np.eye(3, dtype=np.float32)[:2], (count, 1))
+    offsets = np.arange(count + 1) * 2
+    pixels = Fragments(
+        width=count, height=1, offsets=offsets, depth=depth, color=color, alpha=coverage,
+        background=(0, 0, 0), near=near, far=far,
+    )  # fmt: skip
+    image = _wboit(pixels, params)[0]
+    return np.asarray(image[:, 0] / image[:, 1])
+
+
+def _anchor(params: Mapping[str, Any], z: float, near: float, far: float) -> tuple[float, float]:
+    """Give the alpha of a fragment whose weight can be told, and that weight."""
     for faint in _FAINT:
-        known = _absolute(params, float(z[0]), faint, near, far)
-        if known is None:
-            continue
-        depth = np.stack([z, np.full(count, z[0])], axis=1).ravel()
-        coverage = np.tile(np.array([alpha, faint], np.float32), count)
-        color = np.tile(np.eye(3, dtype=np.float32)[:2], (count, 1))
-        offsets = np.arange(count + 1) * 2
-        pixels = Fragments(
-            width=count, height=1, offsets=offsets, depth=depth, color=color, alpha=coverage,
-            background=(0, 0, 0), near=near, far=far,
-        )  # fmt: skip
-        image = render(pixels, "wboit", params, skip=False, dtype="float64").color[0].astype(np.float64)
-        return np.asarray(image[:, 0] / image[:, 1] * known)
+        known = _absolute(params, z, faint, near, far)
+        if known is not None:
+            return faint, known
     raise ValueError(f"weights {dict(params)!r} are too large for their absolute size to be found")
+
+
+def _wboit(pixels: Fragments, params: Mapping[str, Any]) -> NDArray[np.float64]:
+    """Render in float64 throughout: steep weights leave float32's range between near and far."""
+    stored = {**params, "format": "f64"}
+    frame = render(pixels, "wboit", stored, skip=False, dtype="float64")
+    return np.asarray(frame.color, np.float64)
 
 
 def _absolute(params: Mapping[str, Any], z: float, alpha: float, near: float, far: float) -> float | None:
@@ -169,8 +205,7 @@ def _absolute(params: Mapping[str, Any], z: float, alpha: float, near: float, fa
         width=1, height=1, offsets=[0, 1], depth=[z], color=[(1, 1, 1)], alpha=[alpha],
         background=(0, 0, 0), near=near, far=far,
     )  # fmt: skip
-    clamped = {**params, "listing3_clamp": True}
-    seen = float(render(pixel, "wboit", clamped, skip=False, dtype="float64").color[0, 0, 0])
+    seen = float(_wboit(pixel, {**params, "listing3_clamp": True})[0, 0, 0])
     covered = float(pixel.alpha[0])
     weight = seen / covered * _LISTING3
     return weight if weight * covered < 0.5 * _LISTING3 else None
@@ -186,10 +221,21 @@ def _named(weights: Any) -> dict[str, dict[str, Any]]:
     if not given:
         raise ValueError("weights is empty")
     labels = [label for label, _ in given]
+    for label, params in given:
+        _refuse_other_params(label, params)
     twice = [label for label in labels if labels.count(label) > 1]
     if twice:
         raise ValueError(f"weights has {twice[0]!r} twice; name them by a mapping of labels to weights")
     return dict(given)
+
+
+def _refuse_other_params(label: str, params: Mapping[str, Any]) -> None:
+    for key in params:
+        if key not in _PARTS and not str(key).startswith("weight."):
+            raise ValueError(
+                f"weights: {label!r} has the param {key!r}, which is no part of a weight; those that are: "
+                f"{', '.join(_PARTS)}, weight.<name>"
+            )
 
 
 def _is_params(value: Mapping[Any, Any]) -> bool:
