@@ -725,7 +725,7 @@ def test_what_is_no_weight_is_a_gap(weight: str, gaps: list[int]) -> None:
     axes = figure.axes[0]
     assert np.flatnonzero(np.isnan(axes.lines[0].get_ydata())).tolist() == gaps
     (note,) = [text.get_text() for text in axes.texts if text.get_gid() == "note"]
-    assert note.startswith("gaps: no weight there")
+    assert note.startswith("gaps: no weight (0 or less")
     assert not [t for t in plot.weight_curves("mb7").axes[0].texts if t.get_gid() == "note"]
 
 

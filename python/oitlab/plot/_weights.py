@@ -131,7 +131,7 @@ def weight_curves(
             if log:
                 log_axis(axes, "x" if which == "x" else "y")
         has_gaps = any(np.isnan(values).any() for _, _, values in curves)
-        notes = ["gaps: no weight there (0, negative, no number, or 1e-30 and less)"] if has_gaps else []
+        notes = ["gaps: no weight (0 or less, or no number)"] if has_gaps else []
         small_print(axes, notes)
         grow(figure, ax, len(notes) + legend_above(axes, *axes.get_legend_handles_labels(), None))
         finish(axes)
