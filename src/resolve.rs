@@ -196,9 +196,9 @@ impl Resolver {
         let mut found = Vec::new();
         let mut look = || found = (0..lists.len()).map(of_pixel).collect();
         if variant.calls_out {
-            in_batches(look)
+            in_batches(look);
         } else {
-            look()
+            look();
         }
         found
     }
@@ -284,9 +284,9 @@ fn run_variant(
     let mut found = Ok(());
     let mut resolve = || found = technique.resolve_batch(batch, pixels, out, &|| (context.stop)());
     if variant.calls_out {
-        in_batches(resolve)
+        in_batches(resolve);
     } else {
-        resolve()
+        resolve();
     }
     found
 }

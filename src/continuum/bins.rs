@@ -34,7 +34,7 @@ pub struct OwnBins {
 }
 
 impl OwnBins {
-    /// The function that the param "bin_function" is set to.
+    /// The function that the param `bin_function` is set to.
     ///
     /// # Errors
     /// `Error::Param` with what is wrong with its text.

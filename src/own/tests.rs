@@ -1,5 +1,9 @@
 //! Programs against what WGSL says they are.
 
+#![expect(clippy::cast_possible_truncation, reason = "what WGSL does with these casts is what is tested")]
+#![expect(clippy::cast_precision_loss, reason = "what WGSL does with these casts is what is tested")]
+#![expect(clippy::cast_sign_loss, reason = "what WGSL does with these casts is what is tested")]
+
 use super::*;
 
 static SIGNATURE: Signature = Signature { entry: "f", arguments: &["x", "y"], callable: "(x, y) -> f" };
@@ -304,12 +308,14 @@ fn refusals_show_the_users_own_text() {
 fn what_would_take_too_much_is_refused() {
     let mut chain = String::from("fn g0(x: f32) -> f32 { return x * 1.5 + x; }");
     for i in 1..40 {
-        chain += &format!("fn g{i}(x: f32) -> f32 {{ return g{0}(x) * g{0}(x + 1.0); }}", i - 1);
+        let g = i - 1;
+        chain.extend([format!("fn g{i}(x: f32) -> f32 {{ return g{g}(x) * g{g}(x + 1.0); }}")]);
     }
     assert!(refusal(&format!("{chain} fn f(x: f32) -> f32 {{ return g39(x); }}")).contains("too long"));
     let mut structs = String::from("struct S0 { a: f32, b: f32 }");
     for i in 1..60 {
-        structs += &format!("struct S{i} {{ a: S{0}, b: S{0} }}", i - 1);
+        let s = i - 1;
+        structs.extend([format!("struct S{i} {{ a: S{s}, b: S{s} }}")]);
     }
     assert!(!refusal(&format!("{structs} fn f(x: f32) -> f32 {{ var s = S59(); return x; }}")).is_empty());
     let deep = format!("{}x{}", "(".repeat(3000), ")".repeat(3000));

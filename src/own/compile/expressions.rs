@@ -107,7 +107,7 @@ impl<'m> Compiler<'m> {
                 let place = self.place(frame, *pointer)?;
                 self.load_from(place)
             }
-            Expression::Literal(literal) => vec![self.literal(*literal, span)?],
+            Expression::Literal(literal) => vec![Self::literal(*literal, span)?],
             Expression::Constant(constant) => self.global(self.module.constants[*constant].init)?,
             Expression::ZeroValue(ty) => vec![FALSE; self.components[ty.index()]],
             Expression::Compose { components, .. } => {
@@ -198,7 +198,7 @@ impl<'m> Compiler<'m> {
         inner.scalar_kind().unwrap_or(ScalarKind::Float)
     }
 
-    fn literal(&self, literal: Literal, span: naga::Span) -> Result<Val, Problem> {
+    fn literal(literal: Literal, span: naga::Span) -> Result<Val, Problem> {
         Ok(Val::Known(match literal {
             Literal::F32(x) => x.to_bits(),
             Literal::U32(x) => x,
@@ -213,7 +213,7 @@ impl<'m> Compiler<'m> {
         let span = self.module.global_expressions.get_span(handle);
         self.step(span)?;
         match &self.module.global_expressions[handle] {
-            Expression::Literal(literal) => Ok(vec![self.literal(*literal, span)?]),
+            Expression::Literal(literal) => Ok(vec![Self::literal(*literal, span)?]),
             Expression::Constant(constant) => self.global(self.module.constants[*constant].init),
             Expression::ZeroValue(ty) => Ok(vec![FALSE; self.components[ty.index()]]),
             Expression::Splat { size, value } => Ok(vec![self.global(*value)?[0]; *size as usize]),
