@@ -1,7 +1,9 @@
 """Sweeps whose groups are rendered by threads, processes and a Dask cluster, some of which die."""
 
+import importlib
 import os
 import signal
+import sys
 import threading
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from functools import partial
@@ -88,10 +90,10 @@ class _Elsewhere(Executor):
 
         import cloudpickle
 
-        techniques, task, path = pickle.loads(message)
+        techniques, task, path, prints = pickle.loads(message)
         assert Path(path).exists()
         self.calls.append(scene is not None)
-        moved = cloudpickle.dumps((techniques, task, "/nowhere/" + Path(path).name))
+        moved = cloudpickle.dumps((techniques, task, "/nowhere/" + Path(path).name, prints))
         return self._pool.submit(self._run, function, moved, scene)
 
     @staticmethod
@@ -253,3 +255,79 @@ class TestOwnTechniques:
                 found.append(table["mse"].iloc[0])
         assert found[0] == found[2] != found[1]
         assert len(oitlab.read_study(tmp_path / "s.sqlite")) == 2
+
+
+EDITED = """
+import numpy as np, oitlab
+def weight(z, alpha):
+    return alpha * z ** -1.0
+def metric(frame, reference):
+    return 1.0
+@oitlab.technique
+def from_a_module(batch):
+    return batch.background * 1.0, np.ones(len(batch))
+"""
+
+
+@pytest.mark.parametrize("what", ["technique", "weight", "metric", "reference"])
+def test_a_worker_with_an_older_module_gives_no_rows(small_scene, tmp_path, monkeypatch, what):
+    name = f"edited_{what}"
+    file = tmp_path / f"{name}.py"
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+
+    def arguments():
+        module = sys.modules[name]
+        return {
+            "technique": {"grid": {"from_a_module": None}},
+            "weight": {"grid": {"wboit": {"weight": module.weight}}},
+            "metric": {"grid": ["wboit"], "metrics": {"mine": module.metric}},
+            "reference": {"grid": ["wboit"], "reference": ("wboit", {"weight": module.weight})},
+        }[what]
+
+    with oitlab.custom.temporary(), ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        file.write_text(EDITED)
+        importlib.import_module(name)
+        store = tmp_path / "s.sqlite"
+        assert len(sweep(small_scene, **arguments(), executor=pool, store=store)) == 1
+        file.write_text(EDITED.replace("1.0", "0.25"))
+        importlib.invalidate_caches()
+        importlib.reload(sys.modules[name])
+        message = f"the worker has another version of module '{name}'.*restart the workers"
+        for _ in range(2):
+            with pytest.raises(oitlab.SweepFailed, match=message):
+                sweep(small_scene, **arguments(), executor=pool, store=store)
+    assert len(oitlab.read_study(store)) == 1
+
+
+def test_what_cannot_travel_is_named(small_scene):
+    lock = threading.Lock()
+
+    def weight(z, alpha):
+        with lock:
+            return alpha
+
+    with ThreadPoolExecutor(1) as pool:
+        for arguments, what in (
+            ({"grid": {"wboit": {"weight": ["mb7", weight]}}}, "wboit's 'weight'"),
+            ({"grid": ["wboit"], "metrics": {"mine": weight}}, "metric 'mine'"),
+        ):
+            with pytest.raises(ValueError, match=f"{what} cannot be sent to a worker: cannot pickle"):
+                sweep(small_scene, **arguments, executor=pool)
+
+
+class _Unpicklable(Exception):
+    def __init__(self, one, two):
+        super().__init__(f"{one} {two}")
+
+
+def test_errors_that_cannot_travel_are_told(small_scene, processes):
+    def metric(frame, reference):
+        if frame.params["bins"] == 3:
+            raise _Unpicklable("no", "more")
+        return 1.0
+
+    message = r"^scene0: lwboit \(bins=3\): _Unpicklable: no more \(2 of 3 rows are finished\)"
+    with pytest.raises(oitlab.SweepFailed, match=message) as caught:
+        sweep(small_scene, {"lwboit": {"bins": [2, 3, 4]}}, metrics={"mine": metric}, executor=processes)
+    assert caught.value.table["bins"].tolist() == [2, 4]

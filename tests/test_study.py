@@ -287,6 +287,20 @@ class TestFiles:
         with pytest.raises(ValueError, match="written by a newer oitlab"):
             sweep(small_scene, {"wboit": None}, store=store)
 
+    def test_a_study_of_the_version_before_is_read_and_goes_on(self, small_scene, store):
+        first = sweep(small_scene, {"wboit": {"weight": ["mb7"]}}, store=store)
+        connection = sqlite3.connect(store)
+        connection.execute("ALTER TABLE finished DROP COLUMN invalid_weights")
+        connection.execute("PRAGMA user_version = 1")
+        connection.commit()
+        connection.close()
+        old = oitlab.read_study(store)
+        assert old["invalid_weights"].isna().all()
+        assert old["mse"].tolist() == first["mse"].tolist()
+        table = sweep(small_scene, {"wboit": {"weight": ["mb7", "mb9"]}}, store=store)
+        assert table["invalid_weights"].tolist() == [pd.NA, 0]
+        assert oitlab.read_study(store)["invalid_weights"].tolist() == [pd.NA, 0]
+
     def test_an_empty_file_becomes_a_study(self, small_scene, store):
         store.touch()
         assert len(oitlab.read_study(store)) == 0

@@ -7,6 +7,9 @@ import signal
 import subprocess
 import sys
 import time
+import warnings
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
 
@@ -303,6 +306,20 @@ class TestRefused:
             ({"executor": "dask"}, "executor must be a concurrent.futures.Executor, got str"),
             ({"store": 3}, "store must be the path of a file"),
             ({"store": ""}, "store must be the path of a file"),
+            ({"store": ":memory:"}, "':memory:' would be lost"),
+            (
+                {"grid": {"wboit": {"weight": ["mb7", "a * k"], "weight.k": [1.0, 2.0]}}},
+                "'weight.k' is a uniform of one's own texts, which 'mb7' is not; put the two in",
+            ),
+            (
+                {"grid": {"wboit": {"weight": np.frompyfunc(lambda z, a: a, 2, 1)}}},
+                r"wboit's 'weight' has a ufunc '<lambda> \(vectorized\)' in it, whose code",
+            ),
+            ({"metrics": {"mine": np.frompyfunc(lambda a, b: 1, 2, 1)}}, "metric 'mine' has a ufunc"),
+            (
+                {"reference": ("wboit", {"weight": np.frompyfunc(lambda z, a: a, 2, 1)})},
+                "wboit's 'weight' has a ufunc",
+            ),
         ],
     )
     def test_before_any_work(self, small_scene, rendered, tmp_path, arguments, message):
@@ -330,13 +347,139 @@ class TestRefused:
                 raise RuntimeError("no more")
             return 1.0
 
-        with pytest.raises(oitlab.SweepFailed, match=r"no more \(2 of 4 rows are finished\)") as caught:
+        message = r"^scene0: lwboit \(bins=3\): no more \(3 of 4 rows are finished\)$"
+        with pytest.raises(oitlab.SweepFailed, match=message) as caught:
             sweep(small_scene, {"lwboit": {"bins": [1, 2, 3, 4]}}, metrics={"mine": fails_at_the_third})
-        assert caught.value.table["bins"].tolist() == [1, 2]
+        assert caught.value.table["bins"].tolist() == [1, 2, 4]
+        assert type(caught.value.__cause__) is RuntimeError
 
     def test_a_metric_that_gives_no_number(self, small_scene):
         with pytest.raises(oitlab.SweepFailed, match="metric 'mine' gave None"):
             sweep(small_scene, {"wboit": None}, metrics={"mine": lambda frame, reference: None})
+
+
+class Power:
+    """A weight that is an object."""
+
+    def __init__(self, k):
+        self.k = k
+
+    def __call__(self, z, alpha):
+        return alpha * z**-self.k
+
+    def half(self, z, alpha):
+        return 0.5 * self(z, alpha)
+
+
+def module_weight(z, alpha):
+    return alpha / z
+
+
+def hidden(ufunc):
+    return lambda z, alpha: ufunc(z, alpha).astype(np.float32)
+
+
+def never(z, alpha):
+    return np.full_like(z, np.nan)
+
+
+def raising(z, alpha):
+    if len(z):
+        raise ZeroDivisionError("no such weight")
+    return z
+
+
+class TestFunctions:
+    """Weights of one's own: told apart, warned of once, blamed by name."""
+
+    @pytest.mark.parametrize(
+        "make",
+        [
+            lambda k: np.vectorize(lambda z, a: a * z**-k, otypes=[np.float32]),
+            lambda k: hidden(np.frompyfunc(lambda z, a: float(a * z**-k), 2, 1)),
+        ],
+        ids=["vectorize", "ufunc"],
+    )
+    def test_different_ones_are_different_rows(self, small_scene, make):
+        weights = [make(1.0), make(4.0)]
+        table = sweep(small_scene, {"wboit": {"weight": [*weights, weights[0]]}})
+        assert table["mse"].nunique() == len(table) == 2
+        assert table["weight"].nunique() == 2
+
+    def test_different_ones_are_different_rows_of_a_store(self, small_scene, tmp_path):
+        for k in (1.0, 4.0):
+            table = sweep(small_scene, {"wboit": {"weight": Power(k)}}, store=tmp_path / "s.sqlite")
+            expected = oitlab.render(small_scene, "wboit", {"weight": Power(k)})
+            exact = oitlab.render(small_scene, "a_buffer")
+            assert table["mse"].tolist() == [oitlab.compare(expected, exact)["mse"]]
+        assert len(oitlab.read_study(tmp_path / "s.sqlite")) == 2
+
+    def test_rows_show_which_one_it_was(self, small_scene):
+        weights = [Power(1.0), Power(2.0), Power(1.0).half, partial(Power(1.0)), lambda z, alpha: z]
+        table = sweep(small_scene, {"wboit": {"weight": [*weights, module_weight]}})
+        shown = table["weight"].tolist()
+        assert len(set(shown)) == 6
+        assert shown[5] == "module_weight"
+        names = [name.rpartition("#")[0].rpartition(".")[2] for name in shown[:5]]
+        assert names == ["Power", "Power", "half", "partial", "<lambda>"]
+
+    @pytest.mark.parametrize("executor", [False, True])
+    def test_one_warning_tells_of_all_rows(self, small_scene, tmp_path, executor):
+        grid = {"wboit": {"weight": [never, module_weight], "weight_shift": [0.0, 1.0]}}
+        message = r"^2 rows have fragments .* invalid_weights counts them: wboit \(weight='never'\)$"
+        for _ in range(2):  # computed, then read
+            with ExitStack() as stack:
+                pool = stack.enter_context(ThreadPoolExecutor(2)) if executor else None
+                with pytest.warns(oitlab.WeightWarning, match=message) as caught:
+                    table = sweep(small_scene, grid, store=tmp_path / "s.sqlite", group=1, executor=pool)
+            assert [Path(warning.filename) for warning in caught] == [Path(__file__)]
+            fragments = table["fragments"].iloc[0]
+            assert table["invalid_weights"].tolist() == [fragments, fragments, 0, 0]
+        assert oitlab.read_study(tmp_path / "s.sqlite")["invalid_weights"].sum() == 2 * fragments
+
+    @pytest.mark.parametrize("executor", [False, True])
+    def test_one_that_fails_is_named_and_the_others_are_kept(self, small_scene, executor):
+        weights = {"weight": ["mb7", raising, "mb9"], "weight_shift": 0.5}
+        told = r"^scene0: wboit \(weight='raising', weight_shift=0.5\): no such weight \(2 of 3 rows"
+        with ExitStack() as stack:
+            pool = stack.enter_context(ThreadPoolExecutor(1)) if executor else None
+            with pytest.raises(oitlab.SweepFailed, match=told) as caught:
+                sweep(small_scene, {"wboit": weights}, executor=pool)
+        assert caught.value.table["weight"].tolist() == ["mb7", "mb9"]
+        assert isinstance(caught.value.__cause__, ZeroDivisionError)
+
+    @pytest.mark.parametrize(
+        "call",
+        [
+            lambda scene: oitlab.order_sensitivity(scene, "wboit", {"weight": never}, n=2),
+            lambda scene: oitlab.error_split(scene, "wboit", {"weight": never}),
+            lambda scene: oitlab.render(scene, "wboit", {"weight": never}),
+            lambda scene: oitlab.stress("wboit", {"weight": never}),
+        ],
+        ids=["order_sensitivity", "error_split", "render", "stress"],
+    )
+    def test_other_verbs_warn_their_callers(self, small_scene, call):
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always", oitlab.WeightWarning)
+            call(small_scene)
+        assert {Path(warning.filename) for warning in caught} == {Path(__file__)}
+
+    def test_order_sensitivity_says_nothing_of_good_weights(self, small_scene):
+        oitlab.order_sensitivity(small_scene, "wboit", {"weight": module_weight}, n=2)
+
+
+class TestLargeIntegers:
+    def test_they_are_columns_and_stored(self, small_scene, tmp_path):
+        with oitlab.custom.temporary():
+
+            @oitlab.technique(params={"n": 1})
+            def counting(batch, *, n):
+                return batch.background, np.ones(len(batch))
+
+            grid = {"counting": {"n": [2**70, -(2**63) - 1, 3]}}
+            table = sweep(small_scene, grid, store=tmp_path / "s.sqlite")
+        assert table["n"].tolist() == [2**70, -(2**63) - 1, 3]
+        assert oitlab.read_study(tmp_path / "s.sqlite")["n"].tolist() == [2**70, -(2**63) - 1, 3]
 
 
 class TestBinding:
@@ -400,6 +543,7 @@ class TestXarray:
             (["mse", "bin"], "no column 'bin'"),
             (["bins", "bins"], "'bins' is named twice"),
             ([], "at least one row and one dimension"),
+            (3, "dims must be names of columns, got 3"),
             (["seed"], "'seed' has no value in 12 rows"),
         ],
     )

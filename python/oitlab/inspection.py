@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from . import _oitlab
 from ._convert import array, count, integer
 from .fragments import Fragments
-from .rendering import Bound, bind, capture, checked_variant
+from .rendering import Bound, bind, capture, checked_variant, render, silent_weights, warn_of_weights
 from .scene import Scene
 
 
@@ -133,6 +133,11 @@ def order_sensitivity(
         A bad `n`, `submission_order` among the params, a technique with an order of its own (`painter`), or
         params that `render` would refuse.
 
+    Warns
+    -----
+    WeightWarning
+        As `render`, with the fragments of one image.
+
     Examples
     --------
     >>> import oitlab
@@ -148,9 +153,19 @@ def order_sensitivity(
     if bound.definition is not None and "submission_order" in (params or {}):
         raise ValueError("params: submission_order is what order_sensitivity varies")
     shuffles, first = count(n, "n"), count(seed, "seed", bits=64)
-    return _oitlab.order_sensitivity(
+    variance: NDArray[np.float64] = _oitlab.order_sensitivity(
         fragments._handle, bound.technique, bound.params, shuffles, first, workers
     )
+    if bound.definition is None and any(map(_is_own_function, bound.params.values())):
+        with silent_weights():
+            frame = render(fragments, technique, params, threads=threads)
+        warn_of_weights([frame])  # what is no weight in one order is none in any
+    return variance
+
+
+def _is_own_function(value: Any) -> bool:
+    """Whether it is a weight of one's own: callable, or text that is more than a published one's name."""
+    return callable(value) or (isinstance(value, str) and not value.isidentifier())
 
 
 def _bound(technique: str, params: Mapping[str, Any] | None) -> Bound:

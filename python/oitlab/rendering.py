@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import dataclasses
 import warnings
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
 
 from . import _oitlab
+from ._callers import outside
 from ._convert import count, flag
 from ._convert import params as python_params
 from .custom import Definition
@@ -28,8 +31,8 @@ class WeightWarning(UserWarning):
 Variant = str | tuple[str, Mapping[str, Any] | None]
 """A technique's id, alone or with its params."""
 
-_CALLER = 4
-"""Where a warning of `_warn_of_weights` belongs: what called `render` or `render_many`."""
+_is_silent: ContextVar[bool] = ContextVar("_is_silent", default=False)
+"""Of this thread: filters of warnings are the whole process's."""
 
 
 def render(
@@ -194,23 +197,33 @@ def _render(
     jobs = [(one.technique, one.params) for one in bound]
     raws = _oitlab.render(source._handle, jobs, *options)
     frames = [_frame(raw, one) for raw, one in zip(raws, bound, strict=True)]
-    _warn_of_weights(frames)
+    warn_of_weights(frames)
     if not diagnosed:
         return frames
     found = _oitlab.diagnose(source._handle, jobs, options[0])
     return [_diagnosed(frame, images) for frame, images in zip(frames, found, strict=True)]
 
 
-def _warn_of_weights(frames: list[Frame]) -> None:
-    """Warn once of everything that was no weight."""
+@contextmanager
+def silent_weights() -> Iterator[None]:
+    """Leave it to the caller to tell of `Stats.invalid_weights`."""
+    token = _is_silent.set(True)
+    try:
+        yield
+    finally:
+        _is_silent.reset(token)
+
+
+def warn_of_weights(frames: Sequence[Frame]) -> None:
+    """Warn whoever called oitlab, once, of everything that was no weight."""
     found = [frame for frame in frames if frame.stats.invalid_weights]
-    if found:
+    if found and not _is_silent.get():
         counts = ", ".join(f"{frame.stats.invalid_weights} of {frame.technique}" for frame in found)
         message = (
             "a function of one's own gave what is no weight (a finite number above 0) or no share (one from 0"
             f" up); the least there is took its place. Fragments: {counts}"
         )
-        warnings.warn(message, WeightWarning, stacklevel=_CALLER)
+        warnings.warn(message, WeightWarning, stacklevel=outside())
 
 
 def capture(scene: Scene, *, threads: int | None = None) -> Fragments:

@@ -6,13 +6,25 @@ from collections.abc import Iterable
 from importlib import import_module
 from typing import Any
 
+from .._fingerprint import examined
 from ..registry import techniques
 
 
 def technique_fingerprint(technique: str) -> str | None:
     """Content digest of a user's own technique; None for those of the core, which its version tells apart."""
-    fingerprint = getattr(techniques().get(technique), "fingerprint", None)
-    return None if fingerprint is None else str(fingerprint)
+    entry = techniques().get(technique)
+    if entry is None or entry.definition is None:
+        return None
+    apart = f"@{id(entry.definition):x}" if unseen_of(technique) else ""
+    return f"{entry.definition.fingerprint()}{apart}"
+
+
+def unseen_of(technique: str) -> tuple[str, ...]:
+    """Tell what the fingerprint of a technique does not see."""
+    entry = techniques().get(technique)
+    if entry is None or entry.definition is None:
+        return ()
+    return examined(entry.definition.function, entry.definition.transmittance).unseen
 
 
 def shippable(names: Iterable[str]) -> list[Any]:

@@ -89,7 +89,23 @@ def _combinations(technique: str, params: Params) -> list[Request]:
         if not isinstance(name, str):
             raise ValueError(f"grid: params of {technique!r} must have names for keys, got {name!r}")
     axes = {name: _values(technique, name, value) for name, value in (params or {}).items()}
+    _check_uniforms(technique, axes)
     return [(technique, dict(zip(axes, values, strict=True))) for values in product(*axes.values())]
+
+
+def _check_uniforms(technique: str, axes: Mapping[str, Sequence[Any]]) -> None:
+    """Refuse uniforms that some functions of a mapping have and others cannot have."""
+    for name in axes:
+        base = name.partition(".")[0]
+        if base == name:
+            continue
+        values = axes.get(base, ())
+        without = [value for value in values if not isinstance(value, str) or value.isidentifier()]
+        if without and len(without) < len(values):
+            raise ValueError(
+                f"grid: {technique}'s {name!r} is a uniform of one's own texts, which {without[0]!r} is not; "
+                f"put the two in separate grid entries: [({technique!r}, {{...}}), ({technique!r}, {{...}})]"
+            )
 
 
 def _values(technique: str, name: str, value: Any) -> Sequence[Any]:

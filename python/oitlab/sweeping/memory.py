@@ -45,7 +45,7 @@ def child() -> None:
     """Render what comes on stdin and print by how much memory grew."""
     import pickle
 
-    from ..rendering import render
+    from ..rendering import render, silent_weights
     from .bind import _empty_pixel
     from .custom import receive
 
@@ -54,7 +54,8 @@ def child() -> None:
     render(_empty_pixel(source), technique, params, threads=threads)  # code and threads are there before
     _RESET.write_text("5")  # the peak starts from what is resident now
     before = _resident("VmRSS")
-    render(source, technique, params, threads=threads)
+    with silent_weights():  # told already
+        render(source, technique, params, threads=threads)
     print(json.dumps({"grown_bytes": max(0, _resident("VmHWM") - before)}))
 
 

@@ -12,11 +12,13 @@ from importlib import import_module
 from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
+from .._callers import outside
 from .._convert import count, flag
 from ..fragments import Fragments
 from ..frame import Frame
+from ..rendering import WeightWarning
 from ..scene import Scene
-from . import plan
+from . import plan, told
 from .grid import Grid, checked_seeds, expanded
 from .memory import can_measure
 from .metrics import Metrics, measure_of
@@ -24,10 +26,16 @@ from .plan import Wanted
 from .shipping import completed
 from .study import Study, named_row
 from .table import from_rows
-from .work import Package, Row, Task
+from .work import Package, Row, Task, VariantFailed
 
 if TYPE_CHECKING:
     import pandas as pd
+
+
+_FUNCTIONS = ("weight", "bin_function")
+"""Params that may be functions of one's own."""
+_NAMED = 5
+"""Functions that a warning names."""
 
 
 class SweepInterrupted(UserWarning):
@@ -36,6 +44,8 @@ class SweepInterrupted(UserWarning):
 
 class SweepFailed(RuntimeError):
     """A sweep broke off: a worker died for good, a metric raised, memory ran out.
+
+    The message names scene, technique and params where one variant is to blame, whose error is the cause.
 
     Attributes
     ----------
@@ -120,8 +130,9 @@ def sweep(
         In the order of scenes and grid, with these columns:
 
         - `scene`, `technique`; every param of the techniques, <NA> where a technique has no such param or the
-          param has no effect beside the others; `seed` (<NA> likewise). Functions show their qualified name.
-          A param named like another column is called `param.<name>`.
+          param has no effect beside the others; `seed` (<NA> likewise). Functions of a module show their
+          qualified names, lambdas, closures, methods and objects a hash of what they compute as well. A param
+          named like another column is called `param.<name>`.
         - The metrics.
         - `resolve_ms`, `raster_ms`, `total_ms`: medians over `repeats` of what `Frame.stats` has, with
           `..._spread`, the largest minus the smallest (NaN for one). `raster_ms` is the rasterisation that
@@ -131,31 +142,35 @@ def sweep(
         - `executor`: its class where there was one, whose neighbours disturb times; <NA> otherwise.
         - `geometry_passes`, `bytes_per_pixel`: of a streaming GPU implementation, with this scene's depth
           complexity. `bytes_per_pixel_measured`: this renderer's peak, see `measure_memory`; NaN without.
-        - `dropped` fragments, and `skipped.<shortcut>`: work avoided.
+        - `dropped` fragments, `invalid_weights` as in `Stats`, and `skipped.<shortcut>`: work avoided.
         - `fragments`, `depth_complexity_mean`, `depth_complexity_max`, `repeats`, `threads`, `backend`,
           `width`, `height`, `scene_hash`, versions, commit, CPU, cores and host.
 
     Raises
     ------
     ValueError
-        Wrong scenes, techniques, params, metrics, reference or options; a `store` that is something else.
+        Wrong scenes, techniques, params, metrics, reference or options; a `store` that is something else;
+        with `store` or `executor`, functions whose code cannot be seen or that cannot be pickled.
     OSError
         A `store` that cannot be written.
     SweepFailed
-        An error after the start; its `table` has what was finished, and so has `store`.
+        An error after the start; its `table` has what was finished, and so has `store`. The others of its
+        group are finished first.
 
     Warns
     -----
     SweepInterrupted
         After Ctrl-C.
+    WeightWarning
+        Functions of one's own gave what is no weight; once for all rows, from wherever they come.
 
     Notes
     -----
     A stored row is taken for the one that is wanted if these agree: scene, technique (its code, where it is
     your own) and params with effect; reference; metrics and their options; `repeats` and `measure_memory`;
     oitlab's version and compiled core. A scene's name, `threads`, `group` and `executor` may differ. A
-    function counts by its bytecode, constants, defaults, closure and what it uses of its own module; what
-    it calls elsewhere counts by name alone.
+    function counts by its bytecode, constants, defaults, attributes, closure and what it uses of its own
+    package and of modules without a version; what it calls elsewhere counts by name and version.
 
     Examples
     --------
@@ -191,6 +206,8 @@ def sweep(
     conditions = (measure.identity, str(times), str(remembers))
     wanted = plan.wanted_rows(named, packages, requests, checked, conditions)
     by_key = dict(packages.values())
+    if store is not None or executor is not None:
+        told.check(requests, by_key.values(), measure, travels=executor is not None)
 
     largest = plan.LARGEST_GROUP if executor is None else plan.LARGEST_TASK
     cores = threads or (None if executor is None else 1)
@@ -204,10 +221,36 @@ def sweep(
             _run(tasks, by_key, executor, sheet)
         except KeyboardInterrupt:
             warnings.warn(SweepInterrupted(f"stopped by Ctrl-C: {sheet.summary()}"), stacklevel=2)
+        except VariantFailed as error:
+            what = f"{sheet.scenes_of(error.key)}: {error.what}: {_said(error.__cause__)}"
+            raise SweepFailed(f"{what} ({sheet.summary()})", sheet.table()) from error.__cause__
         except Exception as error:
-            what = str(error) or type(error).__name__
-            raise SweepFailed(f"{what} ({sheet.summary()})", sheet.table()) from error
-        return sheet.table()
+            raise SweepFailed(f"{_said(error)} ({sheet.summary()})", sheet.table()) from error
+        table = sheet.table()
+        _warn_of_weights(sheet.invalid())
+        return table
+
+
+def _said(error: BaseException | None) -> str:
+    return str(error) or type(error).__name__
+
+
+def _warn_of_weights(rows: Sequence[Row]) -> None:
+    if not rows:
+        return
+    which = list(dict.fromkeys(_function_of(row) for row in rows))
+    others = f" and {len(which) - _NAMED} more" if len(which) > _NAMED else ""
+    message = (
+        f"{len(rows)} rows have fragments for which a function of one's own gave what is no weight or share; "
+        f"the least there is took its place, and column invalid_weights counts them: "
+        f"{', '.join(which[:_NAMED])}{others}"
+    )
+    warnings.warn(message, WeightWarning, stacklevel=outside())
+
+
+def _function_of(row: Row) -> str:
+    given = [f"{name}={row['params'][name]!r}" for name in _FUNCTIONS if row["params"].get(name) is not None]
+    return f"{row['technique']} ({', '.join(given)})"
 
 
 def _positive(value: Any, name: str) -> int:
@@ -303,6 +346,16 @@ class _Sheet:
         """Finished rows, in the order in which they were asked for."""
         places = ((row.key, row.scene) for row in self._wanted)
         return from_rows([self._rows[place] for place in places if place in self._rows])
+
+    def invalid(self) -> list[Row]:
+        """Give the finished rows with fragments that got no weight of their function."""
+        places = ((row.key, row.scene) for row in self._wanted)
+        rows = (self._rows[place] for place in places if place in self._rows)
+        return [row for row in rows if row["invalid_weights"]]
+
+    def scenes_of(self, key: str) -> str:
+        """Name the scenes of a content key."""
+        return ", ".join(self._scenes[key])
 
     def summary(self) -> str:
         """How far it is."""

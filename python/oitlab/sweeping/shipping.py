@@ -15,9 +15,12 @@ from collections.abc import Generator, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from pathlib import Path
 from threading import Lock
+from typing import Any
 
+from .._fingerprint import fingerprint
+from ..custom import another_version
 from .custom import receive, shippable
-from .work import Package, Row, Task
+from .work import Package, Row, Task, VariantFailed
 
 KEPT = 4
 """Scenes that a worker keeps."""
@@ -46,21 +49,61 @@ def run_shipped(message: bytes, scene: bytes | None = None) -> bytes | None:
     Parameters
     ----------
     message : bytes
-        Pickle of techniques, task and the scene's file.
+        Pickle of techniques, task, the scene's file and fingerprints.
     scene : bytes, optional
         The scene itself.
 
     Returns
     -------
     bytes or None
-        Pickle of (key, row) pairs; None if the scene is needed.
+        Pickle of (key, row) pairs and of what failed, if anything; None if the scene is needed.
+
+    Raises
+    ------
+    RuntimeError
+        Functions that came by name are not here what they are there.
     """
-    techniques, task, path = pickle.loads(message)
+    techniques, task, path, prints = pickle.loads(message)
     package = _package(task.package, path, scene)
     if package is None:
         return None
     receive(techniques)
-    return pickle.dumps(list(task.rows(package)))
+    functions = {**functions_of(task), **functions_of_reference(package)}
+    for what, value in functions.items():  # before they run, which may change what they hold
+        if fingerprint(value) != prints[what]:
+            raise RuntimeError(another_version(what, value))
+    rows: list[tuple[str, Row]] = []
+    failed = None
+    try:
+        rows.extend(task.rows(package))
+    except VariantFailed as error:
+        failed = error, _portable(error.__cause__)
+    return pickle.dumps((rows, failed))
+
+
+def _portable(error: BaseException | None) -> BaseException | None:
+    """Give an error as it can be pickled: some cannot, and some cannot be made again."""
+    try:
+        pickle.loads(pickle.dumps(error))
+    except Exception:
+        return RuntimeError(f"{type(error).__name__}: {error}")
+    return error
+
+
+def functions_of(task: Task) -> dict[str, Any]:
+    """Give the user's functions in a task's params and metrics, by what they are."""
+    functions = {}
+    for index, variant in enumerate(task.variants):
+        for name, value in variant.params.items():
+            if callable(value):
+                functions[f"{variant.technique}'s {name!r} (variant {index})"] = value
+    return functions | {f"metric {name!r}": value for name, value in task.measure.functions.items()}
+
+
+def functions_of_reference(package: Package) -> dict[str, Any]:
+    """Give the user's functions in a reference's params."""
+    params = (package.reference[1] or {}) if isinstance(package.reference, tuple) else {}
+    return {f"the reference's {name!r}": value for name, value in params.items() if callable(value)}
 
 
 def _package(key: str, path: str, scene: bytes | None) -> Package | None:
@@ -90,7 +133,10 @@ def completed(
     When the generator is closed, tasks that have not begun are cancelled.
     """
     with _shared_files(packages) as paths:
-        messages = {index: _message(task, paths[task.package]) for index, task in enumerate(tasks)}
+        messages = {
+            index: _message(task, packages[task.package], paths[task.package])
+            for index, task in enumerate(tasks)
+        }
         pending: dict[Future[bytes | None], int] = {}
         left = Counter(task.package for task in tasks)
         try:
@@ -112,7 +158,10 @@ def completed(
                     left[tasks[index].package] -= 1
                     if not left[tasks[index].package]:
                         packages[tasks[index].package].forget()
-                    yield pickle.loads(rows)
+                    done, problem = pickle.loads(rows)
+                    yield done
+                    if problem is not None and failed is None:
+                        failed, failed.__cause__ = problem
                 if failed is not None:  # after what has been finished besides
                     raise failed
         finally:
@@ -120,11 +169,14 @@ def completed(
                 future.cancel()
 
 
-def _message(task: Task, path: str) -> bytes:
+def _message(task: Task, package: Package, path: str) -> bytes:
     import cloudpickle
 
-    own = shippable(variant.technique for variant in task.variants)
-    message: bytes = cloudpickle.dumps((own, task, path))
+    reference = [package.reference[0]] if isinstance(package.reference, tuple) else []
+    own = shippable([*(variant.technique for variant in task.variants), *reference])
+    functions = {**functions_of(task), **functions_of_reference(package)}
+    prints = {what: fingerprint(value) for what, value in functions.items()}
+    message: bytes = cloudpickle.dumps((own, task, path, prints))
     return message
 
 

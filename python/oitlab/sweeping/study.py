@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 
 APPLICATION_ID = 0x4F495453
 """Of the database's header: "OITS"."""
-VERSION = 1
-"""Of the schema, in the database's header."""
+VERSION = 2
+"""Of the schema, in the database's header. 1: without `invalid_weights`."""
 BUSY_SECONDS = 60.0
 """How long a writer waits for another."""
 
@@ -39,7 +39,7 @@ _COLUMNS = {
     "backend": "TEXT", "width": "INTEGER", "height": "INTEGER",
     "fragments": "INTEGER", "depth_complexity_mean": "REAL", "depth_complexity_max": "INTEGER",
     "geometry_passes": "REAL", "bytes_per_pixel": "REAL", "bytes_per_pixel_measured": "REAL",
-    "dropped": "INTEGER", "skipped": "TEXT", "versions": "TEXT",
+    "dropped": "INTEGER", "invalid_weights": "INTEGER", "skipped": "TEXT", "versions": "TEXT",
 }  # fmt: skip
 """Of the table `finished`; those in `_JSON` hold JSON objects."""
 
@@ -52,6 +52,8 @@ CREATE TABLE finished (
 """
 _INSERT = f"INSERT OR IGNORE INTO finished (key, {', '.join(_COLUMNS)}) VALUES (?{', ?' * len(_COLUMNS)})"
 _SELECT = f"SELECT key, {', '.join(_COLUMNS)} FROM finished"
+_SELECT_1 = _SELECT.replace("invalid_weights", "NULL")
+_MIGRATE_1 = "ALTER TABLE finished ADD COLUMN invalid_weights INTEGER"
 
 
 class Study:
@@ -85,6 +87,7 @@ class Study:
         if not _is_study(self._connection, self.path, blank_will_do=True):
             self._connection.execute("PRAGMA journal_mode = WAL")
             self._create()
+        self._migrate()
         self._connection.execute("PRAGMA journal_mode = WAL")
         self._connection.execute("PRAGMA synchronous = FULL")
 
@@ -95,6 +98,15 @@ class Study:
             self._connection.execute(_SCHEMA)
             self._connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
             self._connection.execute(f"PRAGMA user_version = {VERSION}")
+
+    def _migrate(self) -> None:
+        """Bring a study of an older oitlab to this schema; its rows have no value in new columns."""
+        if _version(self._connection) == VERSION:
+            return
+        with self._transaction():
+            if _version(self._connection) == 1:  # no other sweep was faster
+                self._connection.execute(_MIGRATE_1)
+                self._connection.execute(f"PRAGMA user_version = {VERSION}")
 
     @contextmanager
     def _transaction(self) -> Iterator[None]:
@@ -157,7 +169,8 @@ def read_study(path: str | os.PathLike[str]) -> pd.DataFrame:
     with _named(checked), closing(_open_to_read(checked)) as connection:
         if not _is_study(connection, checked, blank_will_do=True):  # a sweep is just beginning
             return from_rows([])
-        found = connection.execute(f"{_SELECT} ORDER BY rowid").fetchall()
+        select = _SELECT_1 if _version(connection) == 1 else _SELECT
+        found = connection.execute(f"{select} ORDER BY rowid").fetchall()
     return from_rows([_row(cells) for _, *cells in found])
 
 
@@ -188,6 +201,8 @@ def _has_our_header(path: Path) -> bool:
 def _checked_path(path: str | os.PathLike[str]) -> Path:
     if not isinstance(path, str | os.PathLike) or not os.fspath(path):
         raise ValueError(f"store must be the path of a file, got {path!r}")
+    if os.fspath(path) == ":memory:":
+        raise ValueError("store ':memory:' would be lost with the sweep; leave store out, or name a file")
     checked = Path(path)
     if checked.is_dir():
         raise IsADirectoryError(f"store: {os.fspath(path)!r} is a folder")
@@ -197,7 +212,7 @@ def _checked_path(path: str | os.PathLike[str]) -> Path:
 def _is_study(connection: sqlite3.Connection, path: Path, *, blank_will_do: bool) -> bool:
     """Whether it is one; False for a database without anything in it, an error for anything else."""
     (application,) = connection.execute("PRAGMA application_id").fetchone()
-    (version,) = connection.execute("PRAGMA user_version").fetchone()
+    version = _version(connection)
     (tables,) = connection.execute("SELECT count(*) FROM sqlite_master").fetchone()
     if application == APPLICATION_ID and tables:
         if version > VERSION:
@@ -206,6 +221,11 @@ def _is_study(connection: sqlite3.Connection, path: Path, *, blank_will_do: bool
     if blank_will_do and not tables and application in (0, APPLICATION_ID):
         return False
     raise ValueError(f"{path} is a database of something else, not a study of oitlab.sweep")
+
+
+def _version(connection: sqlite3.Connection) -> int:
+    (version,) = connection.execute("PRAGMA user_version").fetchone()
+    return int(version)
 
 
 @contextmanager

@@ -34,6 +34,7 @@ _AFTER = (
     "bytes_per_pixel",
     "bytes_per_pixel_measured",
     "dropped",
+    "invalid_weights",
 )
 _REAL = {name for name in _AFTER if "_ms" in name} | {
     "depth_complexity_mean",
@@ -132,6 +133,8 @@ def to_xarray(table: pd.DataFrame, dims: str | Iterable[str] | None = None) -> x
         raise ImportError("to_xarray needs xarray: pip install 'oitlab[sweep]'") from error
     if not isinstance(table, pd.DataFrame):
         raise ValueError(f"table must be a DataFrame of oitlab.sweep, got {type(table).__name__}")
+    if dims is not None and not isinstance(dims, Iterable):
+        raise ValueError(f"dims must be names of columns, got {dims!r}")
     names = _varying(table) if dims is None else [dims] if isinstance(dims, str) else list(dims)
     _check_dims(table, names)
     rest = [name for name in table.columns if name not in names]
@@ -166,12 +169,17 @@ def _column(values: list[Any]) -> Any:
         return np.full(len(values), pd.NA, dtype=object)
     filled = [pd.NA if value is None else value for value in values]
     for allowed, dtype in _TYPES:
-        if kinds <= allowed:
+        if kinds <= allowed and not any(map(_is_large, values)):
             return pd.Series(filled, dtype=dtype).array
     column = np.empty(len(filled), dtype=object)
     for index, value in enumerate(filled):  # at once, NumPy would make tuples of one length an axis
         column[index] = value
     return column
+
+
+def _is_large(value: Any) -> bool:
+    """Whether an integer does not fit pandas' own."""
+    return isinstance(value, int) and not -(2**63) <= value < 2**63
 
 
 def _varying(table: pd.DataFrame) -> list[str]:

@@ -6,9 +6,9 @@ import functools
 import os
 import platform
 import statistics
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from threading import Lock
 from typing import Any
 
@@ -17,7 +17,7 @@ import numpy as np
 from .._provenance import _commit, _cpu_model
 from ..fragments import Fragments
 from ..frame import Frame
-from ..rendering import render, render_many
+from ..rendering import render, render_many, silent_weights
 from ..scene import Scene
 from .bind import Variant
 from .identity import shown
@@ -29,6 +29,22 @@ Row = dict[str, Any]
 THREADED_PIXELS = 1 << 17
 """Of an image that is worth a thread of its own."""
 TIMES = ("resolve_ms", "raster_ms", "total_ms")
+
+
+class VariantFailed(Exception):
+    """One variant could not be rendered or measured; why is its cause.
+
+    Attributes
+    ----------
+    key : str
+        Its content key.
+    what : str
+        Technique and params.
+    """
+
+    def __init__(self, key: str, what: str) -> None:
+        super().__init__(key, what)
+        self.key, self.what = key, what
 
 
 @dataclass
@@ -75,33 +91,76 @@ class Task:
     measure_memory: bool = False
 
     def rows(self, package: Package) -> Iterator[tuple[str, Row]]:
-        """Render, then measure one image after the other; (content key, row) as each is finished."""
-        requests = [variant.request for variant in self.variants]
-        frames = render_many(package.source, requests, threads=self.threads)
-        stats = [[frame.stats] for frame in frames]
-        for _ in range(1, self.repeats):  # images are the same again; only times are wanted
-            again = render_many(package.source, requests, threads=self.threads)
-            for kept, frame in zip(stats, again, strict=True):
-                kept.append(frame.stats)
-        measured = self._measured(frames, package.exact(self.threads))
-        each = zip(self.keys, self.variants, frames, stats, measured, strict=True)
-        for key, variant, frame, kept, metrics in each:
-            row = {**self._row(variant, frame, kept), "metrics": metrics}
-            if self.measure_memory:
-                row["bytes_per_pixel_measured"] = peak_bytes_per_pixel(
-                    package.source, variant.request, self.threads
-                )
-            yield key, row
+        """Render, then measure one image after the other; (content key, row) as each is finished.
 
-    def _measured(self, frames: Sequence[Frame], exact: Any) -> Iterator[dict[str, float]]:
+        Raises
+        ------
+        VariantFailed
+            The first one that failed, after all others.
+        """
+        exact = package.exact(self.threads)
+        try:
+            frames, stats = self._rendered(package)
+        except Exception as error:
+            if len(self.variants) == 1:
+                raise self._failed(0) from error
+            yield from self._one_by_one(package)
+            return
+        failed: VariantFailed | None = None
+        for index, metrics in enumerate(self._measured(frames, exact)):
+            try:
+                row = {**self._row(self.variants[index], frames[index], stats[index]), "metrics": metrics()}
+                if self.measure_memory:
+                    request = self.variants[index].request
+                    row["bytes_per_pixel_measured"] = peak_bytes_per_pixel(
+                        package.source, request, self.threads
+                    )
+            except Exception as error:
+                failed = failed or self._failed(index, error)
+                continue
+            yield self.keys[index], row
+        if failed is not None:
+            raise failed
+
+    def _one_by_one(self, package: Package) -> Iterator[tuple[str, Row]]:
+        failed: VariantFailed | None = None
+        for key, variant in zip(self.keys, self.variants, strict=True):
+            try:
+                yield from replace(self, keys=(key,), variants=(variant,)).rows(package)
+            except VariantFailed as error:
+                failed = failed or error
+        if failed is not None:
+            raise failed
+
+    def _failed(self, index: int, cause: Exception | None = None) -> VariantFailed:
+        technique, params = self.variants[index].request
+        text = ", ".join(f"{name}={shown(value)!r}" for name, value in params.items())
+        failed = VariantFailed(self.keys[index], f"{technique} ({text})" if text else technique)
+        failed.__cause__ = cause
+        return failed
+
+    def _rendered(self, package: Package) -> tuple[list[Frame], list[list[Any]]]:
+        """Give the images, and for each the numbers of every time that it was rendered."""
+        requests = [variant.request for variant in self.variants]
+        with silent_weights():  # the sweep tells of all its rows at once
+            frames = render_many(package.source, requests, threads=self.threads)
+            stats = [[frame.stats] for frame in frames]
+            for _ in range(1, self.repeats):  # images are the same again; only times are wanted
+                again = render_many(package.source, requests, threads=self.threads)
+                for kept, frame in zip(stats, again, strict=True):
+                    kept.append(frame.stats)
+        return frames, stats
+
+    def _measured(self, frames: Sequence[Frame], exact: Any) -> Iterator[Callable[[], dict[str, float]]]:
         """Metrics of one image after the other; cheap ones of large images by all threads, an image each."""
         workers = min(self.threads or os.cpu_count() or 1, len(frames))
         pixels = frames[0].color[..., 0].size
         if workers == 1 or pixels < THREADED_PIXELS or not self.measure.may_be_threaded:
-            yield from (self.measure(frame, exact) for frame in frames)
+            yield from (functools.partial(self.measure, frame, exact) for frame in frames)
             return
         with ThreadPoolExecutor(workers) as pool:
-            yield from pool.map(lambda frame: self.measure(frame, exact), frames)
+            futures = [pool.submit(self.measure, frame, exact) for frame in frames]
+            yield from (future.result for future in futures)
 
     def _row(self, variant: Variant, frame: Frame, stats: Sequence[Any]) -> Row:
         first = stats[0]
@@ -128,6 +187,7 @@ class Task:
             "bytes_per_pixel": first.bytes_per_pixel,
             "bytes_per_pixel_measured": None,
             "dropped": first.dropped,
+            "invalid_weights": first.invalid_weights,
             "skipped": dict(first.skipped),
             "versions": versions(),
         }
