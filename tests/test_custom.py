@@ -232,13 +232,13 @@ def test_colored_transmittance_and_dropped(small_scene: oitlab.Scene) -> None:
     @oitlab.technique(colored_transmittance=True)
     def tinted(batch: oitlab.Batch, *, same: bool = False) -> tuple[Any, Any, Any]:
         share = np.full(len(batch), 0.5) if same else np.tile([0.25, 0.5, 1.0], (len(batch), 1))
-        return batch.background, share, np.full(len(batch), 2)
+        return batch.background, share, np.minimum(batch.counts, 2)
 
     frame = oitlab.render(small_scene, "tinted", skip=False)
     hit = frame.fragment_count > 0
     np.testing.assert_array_equal(frame.transmittance[hit], np.tile([0.25, 0.5, 1.0], (hit.sum(), 1)))
     np.testing.assert_array_equal(frame.transmittance[~hit], 1)
-    assert frame.stats.dropped == 2 * hit.sum()
+    assert frame.stats.dropped == np.minimum(frame.fragment_count, 2).sum() > hit.sum()
     same = oitlab.render(small_scene, "tinted", {"same": True})
     assert same.transmittance.shape == (27, 48, 3)
     np.testing.assert_array_equal(same.transmittance[hit], 0.5)
@@ -363,7 +363,7 @@ def test_the_entry_says_what_it_takes() -> None:
     orders = oitlab.techniques()["wboit"].params[-2]
     assert table == {
         "on": ("bool", "True or False", True),
-        "count": ("int", "an integer", 3),
+        "count": ("int", "an integer of 64 bits", 3),
         "factor": ("float", "a finite number", 1.0),
         "mode": ("str", "text", "a"),
         "bounds": ("tuple", "a tuple (float, float)", (0.0, 1.0)),
@@ -418,6 +418,8 @@ def test_params_are_read_as_their_defaults_are(fragments: oitlab.Fragments) -> N
         ({"on": 1}, 'parameter "on" is 1; allowed is True or False; its parameters are on, count'),
         ({"count": 2.5}, '"count" is 2.5; allowed is an integer'),
         ({"count": True}, '"count" is True'),
+        ({"count": 2**63}, '"count" is 9223372036854775808; allowed is an integer of 64 bits'),
+        ({"count": -(2**63) - 1}, '"count" is -9223372036854775809; allowed is an integer of 64 bits'),
         ({"factor": "big"}, "\"factor\" is 'big'; allowed is a finite number"),
         ({"factor": np.inf}, '"factor" is inf'),
         ({"factor": np.nan}, '"factor" is nan'),
@@ -502,6 +504,19 @@ def test_costs(mine: list[str], small_scene: oitlab.Scene) -> None:
         oitlab.render(small_scene, "constant")
 
 
+def test_costs_that_fail_name_the_technique(fragments: oitlab.Fragments) -> None:
+    wrong: list[Any] = [
+        lambda params, mean, largest: params["levle"],
+        lambda params: 3,
+        lambda params, mean, largest: 1 / 0,
+    ]
+    for function, error in zip(wrong, ("KeyError: 'levle'", "TypeError: ", "ZeroDivisionError"), strict=True):
+        oitlab.technique(bytes_per_pixel=function)(constant)
+        message = f"^constant: bytes_per_pixel, called with params of the names level, .* raised {error}"
+        with pytest.raises(ValueError, match=message):
+            oitlab.render(fragments, "constant")
+
+
 # what goes wrong
 
 
@@ -537,6 +552,10 @@ def test_costs(mine: list[str], small_scene: oitlab.Scene) -> None:
         (
             lambda n: (np.ones((n, 3)), np.ones(n), -np.ones(n, int)),
             r"pixel \(x=0, y=0\) dropped -1 fragments",
+        ),
+        (
+            lambda n: (np.ones((n, 3)), np.ones(n), np.full(n, 99, np.uint64)),
+            r"pixel \(x=0, y=0\) dropped 99 fragments, but has only \d+",
         ),
     ],
 )
@@ -647,6 +666,10 @@ def test_ctrl_c_works_while_the_function_runs() -> None:
         ({"params": ["level"]}, "constant: params must be a mapping"),
         ({"params": {"level": 0.5, "levle": 1}}, "takes no keyword-only argument 'levle'"),
         ({"params": {"submission_order": "as_is"}}, "the name 'submission_order' is taken"),
+        ({"params": {"mse": 1}}, "constant: params: the name 'mse' is taken by a column of the tables"),
+        ({"params": {"total_ms": 1}}, "the name 'total_ms' is taken by a column"),
+        ({"params": {"width": 1}}, "the name 'width' is taken by a column"),
+        ({"params": {"level": 2**63}}, "level: default: 9223372036854775808 is not an integer of 64 bits"),
         ({"params": {"level": [1]}}, "level: default must be a bool, int, float, str or tuple, got"),
         ({"params": {"level": ()}}, "level: default must hold"),
         ({"params": {"level": np.nan}}, "level: default: nan is not a finite number"),
@@ -687,6 +710,23 @@ def test_functions_that_cannot_be_called_are_refused() -> None:
         oitlab.technique(3)  # type: ignore[call-overload]
 
 
+def test_arguments_that_would_never_be_params_are_refused() -> None:
+    def positional(batch: Any, k: int = 4) -> None: ...
+    def only(batch: Any, k: int = 4, /) -> None: ...
+
+    for function in (positional, only):
+        message = rf"{function.__name__}: params: .* 'k' .*: make k keyword-only, as in \(batch, \*, k=4\)"
+        for params in (None, {"k": 4}):
+            with pytest.raises(ValueError, match=message):
+                oitlab.technique(params=params)(function)
+
+
+def test_a_large_integer_is_as_large_as_a_table_takes(fragments: oitlab.Fragments) -> None:
+    declared()
+    for count in (2**63 - 1, -(2**63)):
+        assert oitlab.render(fragments, "with_params", {"count": count}).params["count"] == count
+
+
 def test_any_callable_will_do(fragments: oitlab.Fragments) -> None:
     class Level:
         """Not the technique's docstring."""
@@ -723,6 +763,7 @@ def test_any_callable_will_do(fragments: oitlab.Fragments) -> None:
             {"default": (1.0, 2.0), "max": 1},
             r"default: \(1.0, 2.0\) is not a tuple \(float, float\), each <= 1",
         ),
+        ({"default": (1, 2**64)}, r"default: \(1, 18446744073709551616\) is not a tuple \(int, int\)"),
         ({"default": 1, "doc": 3}, "doc must be text"),
     ],
 )

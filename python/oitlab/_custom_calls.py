@@ -169,6 +169,12 @@ class Call:
             raise ValueError(
                 f"{self.technique}: pixel {_place(batch, row)} dropped {dropped[row]} fragments, not >= 0"
             )
+        if (dropped > batch.counts).any():
+            row = int(np.flatnonzero(dropped > batch.counts)[0])
+            raise ValueError(
+                f"{self.technique}: pixel {_place(batch, row)} dropped {dropped[row]} fragments, "
+                f"but has only {batch.counts[row]}"
+            )
         return np.ascontiguousarray(dropped, np.uint64)
 
     def _floats(self, given: Any, what: str) -> NDArray[Any]:

@@ -11,11 +11,14 @@ from typing import Any
 
 from . import _oitlab
 from ._convert import params as python_params
+from .metrics import METRICS
 from .registry import ParamInfo
 
 _SCALARS = (bool, int, float, str)
 ORDER, SEED = "submission_order", "seed"
 """What every technique takes beside its own parameters."""
+_INT64 = range(-(2**63), 2**63)
+"""What tables and files have room for."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,8 +28,9 @@ class Param:
     Parameters
     ----------
     default : bool, int, float, str, or tuple of them
-        Its value when nobody says otherwise; whatever is given has to be of the same type. An int passes for
-        a float; a tuple has the same length and types, and may be given as a list or a NumPy array.
+        Its value when nobody says otherwise; whatever is given has to be of the same type. Ints have 64 bits.
+        An int passes for a float; a tuple has the same length and types, and may be given as a list or a
+        NumPy array.
     min, max : number, optional
         Ends of the range, both allowed; of numbers, or of every number in a tuple.
     choices : sequence, optional
@@ -94,7 +98,7 @@ class Param:
         items = value if isinstance(value, tuple) else (value,)
         numbers = [item for item in items if type(item) in (int, float)]
         return (
-            all(math.isfinite(number) for number in numbers)
+            all(number in _INT64 if type(number) is int else math.isfinite(number) for number in numbers)
             and (self.min is None or all(number >= self.min for number in numbers))
             and (self.max is None or all(number <= self.max for number in numbers))
             and (self.choices is None or value in self.choices)
@@ -123,14 +127,17 @@ class Param:
         noun = nouns[type(self.default)]
         if isinstance(self.default, float) and self.min is None and self.max is None:
             noun = "a finite number"
+        if isinstance(self.default, int) and not isinstance(self.default, bool):
+            return self._interval(noun, ", of 64 bits") or f"{noun} of 64 bits"
         return self._interval(noun) or noun
 
-    def _interval(self, noun: str) -> str:
+    def _interval(self, noun: str, room: str = "") -> str:
+        """Say the range, and what holds on the side that it leaves open; nothing where it has no end."""
         if self.min is not None and self.max is not None:
             return f"{noun} in [{self.min}, {self.max}]"
         if self.min is not None:
-            return f"{noun} >= {self.min}"
-        return f"{noun} <= {self.max}" if self.max is not None else ""
+            return f"{noun} >= {self.min}{room}"
+        return f"{noun} <= {self.max}{room}" if self.max is not None else ""
 
 
 def _read(default: Any, value: Any) -> Any:
@@ -152,8 +159,9 @@ def declared(function: Callable[..., Any], params: Mapping[str, Any] | None) -> 
     ------
     ValueError
         A default that no parameter can have, a name that is taken, a parameter that the function does not
-        take, or one of the function's that has no value.
+        take, one of the function's that has no value, or one that has a default but is not keyword-only.
     """
+    _refuse_positional(function)
     keywords, takes_any = _keywords(function)
     if params is None:
         params = {
@@ -185,6 +193,19 @@ def check_callable(
         raise ValueError(f"{what}{signature} cannot be called as ({called}): {error}") from None
 
 
+def _refuse_positional(function: Callable[..., Any]) -> None:
+    """Refuse arguments that look like parameters and would keep their default whatever is asked for."""
+    kinds = inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD
+    positional = [a for a in inspect.signature(function).parameters.values() if a.kind in kinds]
+    for argument in positional[1:]:
+        if argument.default is not inspect.Parameter.empty:
+            name = argument.name
+            raise ValueError(
+                f"params: the function's argument {name!r} has a default but can be positional: "
+                f"make {name} keyword-only, as in ({positional[0].name}, *, {name}={argument.default!r})"
+            )
+
+
 def _keywords(function: Callable[..., Any]) -> tuple[dict[str, Any], bool]:
     """Give the keyword-only arguments with their defaults, and whether the function takes any others."""
     arguments = inspect.signature(function).parameters.values()
@@ -197,6 +218,8 @@ def _param(name: str, default: Any) -> Param:
         raise ValueError(f"params: {name!r} is not a name")
     if name in (ORDER, "batch"):
         raise ValueError(f"params: the name {name!r} is taken")
+    if name != SEED and name in _table_columns():
+        raise ValueError(f"params: the name {name!r} is taken by a column of the tables of oitlab.sweep")
     try:
         param = default if isinstance(default, Param) else Param(default)
     except ValueError as error:
@@ -208,6 +231,14 @@ def _param(name: str, default: Any) -> Param:
             f"params: seed is an integer >= 0 and 0 by default for every technique, got {default!r}"
         )
     return Param(0, min=0, max=2**63 - 1)
+
+
+@cache
+def _table_columns() -> frozenset[str]:
+    """Give the columns that are not params in a table of `oitlab.sweep`."""
+    from .sweeping.table import FIXED  # which imports this module
+
+    return FIXED | set(METRICS)
 
 
 @cache

@@ -2,8 +2,9 @@
 
 The function is called with a `Batch` of pixels and its params, and gives a colour and the background's share
 for each pixel. It is then a technique like any other: in `oitlab.techniques()`, `render`, `render_many`,
-`transmittance`, `order_sensitivity`, `error_split`, `stress` and on the command line, where
-`oitlab --import FILE.py compare ...` runs the file that registers it.
+`transmittance`, `order_sensitivity`, `stress` and on the command line, where
+`oitlab --import FILE.py compare ...` runs the file that registers it. `error_split` takes it if it has a
+parameter `format` that can be "f64".
 
 Examples
 --------
@@ -123,7 +124,7 @@ class Definition:
 
     def _amount(self, name: str, params: Mapping[str, Any], mean: float, largest: int) -> float:
         given = getattr(self, name)
-        amount = given(MappingProxyType(dict(params)), mean, largest) if callable(given) else given
+        amount = self._called(name, params, mean, largest) if callable(given) else given
         if amount is None:
             return math.nan
         try:
@@ -133,6 +134,15 @@ class Definition:
         if not 0.0 <= number < math.inf:
             raise ValueError(f"{self.id}: {name} is {amount!r}, not a finite number >= 0")
         return number
+
+    def _called(self, name: str, params: Mapping[str, Any], mean: float, largest: int) -> Any:
+        try:
+            return getattr(self, name)(MappingProxyType(dict(params)), mean, largest)
+        except Exception as error:
+            raise ValueError(
+                f"{self.id}: {name}, called with params of the names {', '.join(params)}, the mean and the "
+                f"largest number of fragments, raised {type(error).__name__}: {error}"
+            ) from error
 
     def fingerprint(self) -> str:
         """Hash what decides the image."""
@@ -219,7 +229,8 @@ def technique(
 
     - color, (P, 3) float: linear RGB, the background included, finite;
     - transmittance, (P,) float in [0, 1]: the background's share; (P, 3) with `colored_transmittance`;
-    - optionally dropped, (P,) int: fragments that the technique had no room for, for `Frame.stats`.
+    - optionally dropped, (P,) int: fragments that the technique had no room for, for `Frame.stats`; at most
+      as many as the pixel has.
 
     It is called once for a screen tile or some 4096 pixels of captured fragments (fewer where they are deep),
     from the renderer's threads, one at a time since Python's lock is held; numba functions may release it
@@ -234,7 +245,8 @@ def technique(
         What is registered, and given back as it is.
     params : mapping of str to default or `Param`, optional
         Its parameters, handed over as keywords; left out, its keyword-only arguments with their defaults. One
-        that is called `seed` is the one that every technique has.
+        that is called `seed` is the one that every technique has. Names of columns that the tables of
+        `oitlab.sweep` have anyway, such as `mse` or `width`, are taken.
     id : str, optional
         The name to render it by; the function's own when absent.
     name, doc : str, optional
@@ -268,7 +280,8 @@ def technique(
     ------
     ValueError
         An id that a built-in technique has or that is no name; params that the function does not take or that
-        are not bools, numbers, text or tuples of them; any other argument that is not as above.
+        are not bools, numbers, text or tuples of them; an argument of the function that has a default but is
+        not keyword-only; any other argument that is not as above.
 
     Examples
     --------
@@ -532,7 +545,7 @@ def shippable(technique_id: str) -> Shipment:
     return Shipment(definition.id, definition.fingerprint(), payload)
 
 
-_received: dict[str, tuple[Shipment, Definition]] = {}
+_received: dict[str, tuple[bytes, Definition]] = {}
 """By id, what was received last, so that the many tasks of a worker unpack it once."""
 
 
@@ -553,28 +566,14 @@ def receive(shipment: Shipment) -> str:
     ------
     ValueError
         Not a shipment.
-    RuntimeError
-        What the shipment names is something else here, as in a worker that imported a module before it was
-        edited.
     """
     if not isinstance(shipment, Shipment):
         raise ValueError(f"shipment must come from oitlab.custom.shippable, got {shipment!r}")
-    before, definition = _received.get(shipment.id, (None, None))
-    if definition is None or before != shipment:
-        definition = pickle.loads(shipment.payload)
-        if definition.fingerprint() != shipment.fingerprint:
-            raise RuntimeError(another_version(f"technique {shipment.id!r}", definition.function))
-        _received[shipment.id] = (shipment, definition)
     entry = techniques().get(shipment.id)
+    payload, definition = _received.get(shipment.id, (b"", None))
+    if definition is None or payload != shipment.payload:
+        definition = pickle.loads(shipment.payload)
+        _received[shipment.id] = (shipment.payload, definition)
     if entry is None or entry.definition is not definition:
         register_entry(definition.entry())
     return shipment.id
-
-
-def another_version(what: str, value: Any) -> str:
-    """Say that this process has another state of the code of something that was sent to it by name."""
-    module = getattr(value, "__module__", None) or type(value).__module__
-    return (
-        f"{what}: the worker has another version of module {module!r} (or of what it uses, or of Python) "
-        "than the process that sent it: restart the workers, or that process where it has the older one"
-    )
