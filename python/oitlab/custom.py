@@ -545,7 +545,7 @@ def shippable(technique_id: str) -> Shipment:
     return Shipment(definition.id, definition.fingerprint(), payload)
 
 
-_received: dict[str, tuple[bytes, Definition]] = {}
+_received: dict[str, tuple[Shipment, Definition]] = {}
 """By id, what was received last, so that the many tasks of a worker unpack it once."""
 
 
@@ -566,14 +566,28 @@ def receive(shipment: Shipment) -> str:
     ------
     ValueError
         Not a shipment.
+    RuntimeError
+        What the shipment names is something else here, as in a worker that imported a module before it was
+        edited.
     """
     if not isinstance(shipment, Shipment):
         raise ValueError(f"shipment must come from oitlab.custom.shippable, got {shipment!r}")
-    entry = techniques().get(shipment.id)
-    payload, definition = _received.get(shipment.id, (b"", None))
-    if definition is None or payload != shipment.payload:
+    before, definition = _received.get(shipment.id, (None, None))
+    if definition is None or before != shipment:
         definition = pickle.loads(shipment.payload)
-        _received[shipment.id] = (shipment.payload, definition)
+        if definition.fingerprint() != shipment.fingerprint:
+            raise RuntimeError(another_version(f"technique {shipment.id!r}", definition.function))
+        _received[shipment.id] = (shipment, definition)
+    entry = techniques().get(shipment.id)
     if entry is None or entry.definition is not definition:
         register_entry(definition.entry())
     return shipment.id
+
+
+def another_version(what: str, value: Any) -> str:
+    """Say that this process has another state of the code of something that was sent to it by name."""
+    module = getattr(value, "__module__", None) or type(value).__module__
+    return (
+        f"{what}: the worker has another version of module {module!r} (or of what it uses, or of Python) "
+        "than the process that sent it: restart the workers, or that process where it has the older one"
+    )
