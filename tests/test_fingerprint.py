@@ -8,7 +8,7 @@ import threading
 import types
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import cloudpickle
 import numpy as np
@@ -50,6 +50,32 @@ class Slotted:
 
     def __call__(self, z: Any, alpha: Any) -> Any:
         return z**self.k
+
+
+T = TypeVar("T")
+
+
+class Holder(Generic[T]):
+    def __init__(self, k: T) -> None:
+        self.k = k
+
+    def __call__(self, z: Any, alpha: Any) -> Any:
+        return z * self.k
+
+
+class Sentinel(Slotted):
+    def __reduce__(self) -> Any:
+        return "SENTINEL"
+
+
+SENTINEL = Sentinel(2)
+
+
+def nested(depth: int) -> Any:
+    value: list[Any] = []
+    for _ in range(depth):
+        value = [value]
+    return value
 
 
 def scaled(k: float) -> Any:
@@ -98,6 +124,10 @@ MAKERS = {
     "base class": lambda k: type("W", (type("Base", (), {"k": k}),), {})(),
     "subclass of dict": lambda k: Ordered(k=k),
     "array of objects": lambda k: np.array([scaled(k), None], dtype=object),
+    "lru_cache": lambda k: functools.lru_cache(scaled(k)),
+    "singledispatch": lambda k: functools.singledispatch(scaled(k)),
+    "generic class": lambda k: Holder(k),
+    "calls itself a name": Sentinel,
     "generator's method": lambda k: np.random.default_rng(k).random,
 }
 
@@ -117,13 +147,15 @@ def test_different_ones_differ_and_equal_ones_agree(make: Any) -> None:
         ([{np.frompyfunc(lambda z: z, 1, 1)}], "ufunc"),
         (Secretive(1), "Secretive object"),
         (scaled(n for n in range(3)), "generator object"),  # type: ignore[arg-type]
+        (nested(100_000), "structure too deep"),
+        (threading.local(), "_local object"),
         (types.BuiltinFunctionType, None),
         (np.hypot, None),
         (len, None),
         (str.upper, None),
         (np.linalg.norm, None),
     ],
-    ids=str,
+    ids=lambda value: type(value).__name__,
 )
 def test_what_cannot_be_seen_is_told(value: Any, what: str | None) -> None:
     unseen = examined(value).unseen
@@ -170,7 +202,8 @@ def _elsewhere(message: bytes) -> list[str]:
 
 
 def test_another_process_finds_the_same() -> None:
-    values = [make(2) for name, make in MAKERS.items() if name not in ("holds a lock", "hides from pickle")]
+    stuck = ("holds a lock", "hides from pickle", "lru_cache", "singledispatch")
+    values = [make(2) for name, make in MAKERS.items() if name not in stuck]
     here = [fingerprint(value) for value in values]
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
         assert pool.submit(_elsewhere, cloudpickle.dumps(values)).result(60) == here

@@ -12,6 +12,7 @@ import platform
 import sys
 import threading
 import types
+import weakref
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -21,12 +22,14 @@ import numpy as np
 _NOT_COMPUTED = {
     "__abstractmethods__", "__annotate__", "__annotate_func__", "__annotations__", "__annotations_cache__",
     "__classcell__", "__dataclass_fields__", "__dataclass_params__", "__dict__", "__doc__",
-    "__firstlineno__", "__match_args__", "__module__", "__qualname__", "__static_attributes__",
-    "__weakref__", "_abc_impl",
+    "__firstlineno__", "__match_args__", "__module__", "__orig_bases__", "__parameters__", "__qualname__",
+    "__static_attributes__", "__type_params__", "__weakref__", "_abc_impl",
 }  # fmt: skip
 _ATOMS = {type(None), bool, int, float, complex, str, bytes, type(Ellipsis), type(NotImplemented)}
 _CONTAINERS = {tuple, list, dict, set, frozenset}
 _LOCKS = (type(threading.Lock()), type(threading.RLock()))
+_CACHES = (weakref.WeakKeyDictionary, weakref.WeakValueDictionary, weakref.WeakSet)
+_LRU_CACHE = type(functools.lru_cache(abs))
 _DESCRIPTORS = (
     types.GetSetDescriptorType, types.MemberDescriptorType, types.MethodDescriptorType,
     types.WrapperDescriptorType, types.ClassMethodDescriptorType,
@@ -78,8 +81,11 @@ def examined(*values: Any) -> Fingerprint:
     ("ufunc '<lambda> (vectorized)'",)
     """
     writer = _Writer({"__main__", *map(_package, values)} - {"", *_PUBLISHED})
-    for value in values:
-        writer.value(value)
+    try:
+        for value in values:
+            writer.value(value)
+    except RecursionError:
+        writer.unseen.append("structure too deep to walk")
     return Fingerprint(writer.digest(), tuple(dict.fromkeys(writer.unseen)))
 
 
@@ -182,7 +188,11 @@ class _Writer:
             self._builtin(value)
         elif isinstance(value, _DESCRIPTORS):
             self._parts("descriptor", value.__name__, value.__objclass__)
-        elif isinstance(value, _LOCKS):
+        elif isinstance(value, _LRU_CACHE):
+            self._parts("cached", value.__wrapped__)
+        elif isinstance(value, types.MappingProxyType):
+            self._parts("proxy", dict(value))
+        elif isinstance(value, _LOCKS + _CACHES):
             self._tag("lock")  # decides when something is computed, not what
         else:
             self._instance(value)
@@ -225,7 +235,11 @@ class _Writer:
             self.unseen.append(f"{kind.__qualname__} object")
             return
         if isinstance(reduced, str):
-            self._named(value, reduced)
+            if self._is_own(kind):
+                self._parts("object", kind)
+                self._state(value)
+            else:
+                self._named(value, reduced)
             return
         made, arguments, *rest = reduced
         self._parts("object", kind, made, arguments)
