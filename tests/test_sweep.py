@@ -9,7 +9,7 @@ import sys
 import time
 import warnings
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from functools import partial
 from pathlib import Path
 
@@ -24,6 +24,7 @@ from oitlab._errors import BLOCK_PIXELS, errors_of
 from oitlab.sweeping import plan, work
 from oitlab.sweeping.bind import bound
 from oitlab.sweeping.metrics import Measure
+from oitlab.sweeping.study import Study, named_row
 from oitlab.sweeping.table import _AFTER, from_rows
 
 ROUNDING = 1e-12
@@ -468,18 +469,18 @@ class TestFunctions:
         oitlab.order_sensitivity(small_scene, "wboit", {"weight": module_weight}, n=2)
 
 
-class TestLargeIntegers:
-    def test_they_are_columns_and_stored(self, small_scene, tmp_path):
-        with oitlab.custom.temporary():
-
-            @oitlab.technique(params={"n": 1})
-            def counting(batch, *, n):
-                return batch.background, np.ones(len(batch))
-
-            grid = {"counting": {"n": [2**70, -(2**63) - 1, 3]}}
-            table = sweep(small_scene, grid, store=tmp_path / "s.sqlite")
-        assert table["n"].tolist() == [2**70, -(2**63) - 1, 3]
-        assert oitlab.read_study(tmp_path / "s.sqlite")["n"].tolist() == [2**70, -(2**63) - 1, 3]
+def test_integers_beyond_64_bits_are_columns_and_stored(small_scene, tmp_path):
+    """As a store has them that another version wrote, which took them."""
+    numbers = [2**70, -(2**63) - 1, 3, 0.5]
+    variants = bound(small_scene, [("lwboit", {"bins": 2 + n}) for n in range(len(numbers))], None)
+    task = work.Task("p", tuple(variants), ("a", "b", "c", "d"), Measure(), 1, None)
+    rows = [(key, named_row(row, "s")) for key, row in task.rows(work.Package(small_scene, None))]
+    for (_, row), number in zip(rows, numbers, strict=True):
+        row["params"]["n"] = number
+    with closing(Study(tmp_path / "s.sqlite")) as study:
+        study.add(rows)
+    assert from_rows([row for _, row in rows])["n"].tolist() == numbers
+    assert oitlab.read_study(tmp_path / "s.sqlite")["n"].tolist() == numbers
 
 
 class TestBinding:
