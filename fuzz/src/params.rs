@@ -97,7 +97,7 @@ pub fn run(input: &Input) {
     assert!(cost.bytes_per_pixel >= 0.0, "{}: {cost:?}", info.id);
     if cost.bytes_per_pixel <= SMALL {
         let exact = technique.properties().exact_coverage;
-        match render_exactly(Source::Fragments(&pixels()), &[(info.id.to_owned(), params)]) {
+        match render_exactly(Source::Fragments(&pixels()), &[(info.id.to_owned(), params).into()]) {
             Ok(frames) => check_frame(&frames[0], exact),
             Err(error) => assert!(!error.to_string().is_empty()),
         }

@@ -23,7 +23,7 @@ fn one(technique: &str, param: &str, text: &str, signature: &'static Signature) 
         let uniforms = source.uniforms().iter().zip(values);
         params.extend(uniforms.map(|(name, x)| (format!("{param}.{name}"), Value::Float(x))));
     }
-    let request = [(technique.to_owned(), params)];
+    let request = [(technique.to_owned(), params).into()];
     let pixels = pixels();
     match render_exactly(Image::Fragments(&pixels), &request) {
         Ok(frames) => {
