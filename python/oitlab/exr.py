@@ -11,7 +11,8 @@
 The `image` part carries string attributes: `oitlab:version`, `oitlab:technique`, `oitlab:scene_hash`,
 `oitlab:params`, `oitlab:inactive_params` and `oitlab:stats` (all JSON), `oitlab:parts` (the names of all
 parts, by which a file that lost its tail is recognised) and, with an error map,
-`oitlab:error_metric`. Every part carries the `chromaticities` of Rec. 709. Compression is ZIP, which is lossless.
+`oitlab:error_metric`. Every part carries the `chromaticities` of Rec. 709. Compression is ZIP,
+which is lossless.
 """
 
 from __future__ import annotations
