@@ -7,7 +7,7 @@ import sys
 import threading
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from functools import partial
-from multiprocessing import get_context
+from multiprocessing import get_all_start_methods, get_context
 from pathlib import Path
 
 import pandas as pd
@@ -69,7 +69,7 @@ def test_functions_of_this_process_reach_the_workers(small_scene, processes):
     assert table["mine"].tolist() == expected["mine"].tolist()
 
 
-@pytest.mark.skipif("fork" not in __import__("multiprocessing").get_all_start_methods(), reason="no fork")
+@pytest.mark.skipif("fork" not in get_all_start_methods(), reason="this system does not fork")
 @pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning")
 def test_forked_processes_do_not_hang(small_scene, expected):
     oitlab.render(small_scene, "wboit")  # threads are there before the fork
@@ -179,7 +179,7 @@ class _Stopping(Executor):
         return future
 
 
-@pytest.mark.skipif(os.name != "posix", reason="signals")
+@pytest.mark.skipif(os.name != "posix", reason="kills a process by a POSIX signal")
 def test_ctrl_c_cancels_what_has_not_begun(small_scene):
     executor = _Stopping()
     with pytest.warns(oitlab.SweepInterrupted, match="5 of 22 rows are finished"):
@@ -227,7 +227,6 @@ def test_a_dask_client_is_told_to_give_its_executor(small_scene):
         sweep(small_scene, GRID, executor=Client())
 
 
-@pytest.mark.skipif(not hasattr(oitlab, "technique"), reason="no techniques of one's own in this version")
 class TestOwnTechniques:
     """Techniques that a user registered reach the workers, and their code is part of a row's key."""
 

@@ -36,18 +36,16 @@ from __future__ import annotations
 import atexit
 import inspect
 import math
-import pickle
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
-from types import MappingProxyType
 from typing import Any, Literal, TypeVar, overload
 
 from . import _oitlab
-from ._custom_calls import Batch, Call
-from ._custom_params import ORDER, SEED, Param, check_callable, declared, resolved, table
-from ._fingerprint import fingerprint
-from .registry import Cost, TechniqueInfo, register_entry, techniques, unregister_entry
+from ._custom_calls import Batch
+from ._custom_definition import AXES, UNSAID, Amount, Definition, definition_of
+from ._custom_params import Param, check_callable, declared
+from ._custom_shipping import Shipment, receive, shippable
+from .registry import register_entry, techniques, unregister_entry
 
 __all__ = ["Batch", "Param", "Shipment", "receive", "shippable", "technique", "temporary", "unregister"]
 
@@ -55,125 +53,6 @@ __all__ = ["Batch", "Param", "Shipment", "receive", "shippable", "technique", "t
 atexit.register(_oitlab.settle)
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
-Amount = float | Callable[[Mapping[str, Any], float, int], float]
-"""A number, or a function of (params, depth_complexity_mean, depth_complexity_max) that gives it."""
-
-_PROMISES = (
-    "order_independent",
-    "unbiased",
-    "consistent",
-    "exact_for_one",
-    "exact_for_one_color",
-    "exact_coverage",
-)
-_AXES = ("memory", "insertion", "merge", "normalize", "opacity")
-_UNSAID = "not stated"
-
-
-@dataclass(frozen=True, eq=False)
-class Definition:
-    """A technique of one's own as it was registered."""
-
-    id: str
-    name: str
-    function: Callable[..., Any]
-    params: Mapping[str, Param]
-    order: str
-    transmittance: Callable[..., Any] | None
-    colored: bool
-    promises: Mapping[str, bool]
-    geometry_passes: Amount | None
-    bytes_per_pixel: Amount | None
-    citation: tuple[str, ...]
-    doc: str
-    axes: Mapping[str, str]
-
-    def resolved(self, params: Mapping[str, Any] | None) -> dict[str, Any]:
-        """Check params and complete them."""
-        return resolved(self.id, self.params, params)
-
-    def bound(self, params: Mapping[str, Any]) -> _oitlab.CustomTechnique:
-        """Give the technique to the core; `params` are resolved."""
-        self.cost(params, 1.0, 1)  # what it says wrong of itself is refused before any work starts
-        acts = {**params} if self._is_random or params[ORDER] == "shuffled" else {**params, SEED: None}
-        own = {name: params[name] for name in self.params}
-        call = Call(self.id, self.function, own, self.colored)
-        curve = Call(self.id, self.transmittance, own, self.colored) if self.transmittance else None
-        return _oitlab.CustomTechnique(
-            self.id,
-            f"{id(self)} {acts!r}",
-            params[ORDER],
-            params[SEED],
-            self.order == "sorted",
-            self.colored,
-            [self.promises[name] for name in _PROMISES],
-            call.resolve,
-            curve.transmittance if curve else None,
-        )
-
-    @property
-    def _is_random(self) -> bool:
-        return SEED in self.params
-
-    def cost(self, params: Mapping[str, Any], mean: float, largest: int) -> Cost:
-        """Give what the author says that it costs, NaN where that is nothing; `params` are resolved."""
-        return Cost(
-            self._amount("geometry_passes", params, mean, largest),
-            self._amount("bytes_per_pixel", params, mean, largest),
-        )
-
-    def _amount(self, name: str, params: Mapping[str, Any], mean: float, largest: int) -> float:
-        given = getattr(self, name)
-        amount = self._called(name, params, mean, largest) if callable(given) else given
-        if amount is None:
-            return math.nan
-        try:
-            number = float(amount)
-        except (TypeError, ValueError):
-            number = -1.0
-        if not 0.0 <= number < math.inf:
-            raise ValueError(f"{self.id}: {name} is {amount!r}, not a finite number >= 0")
-        return number
-
-    def _called(self, name: str, params: Mapping[str, Any], mean: float, largest: int) -> Any:
-        try:
-            return getattr(self, name)(MappingProxyType(dict(params)), mean, largest)
-        except Exception as error:
-            raise ValueError(
-                f"{self.id}: {name}, called with params of the names {', '.join(params)}, the mean and the "
-                f"largest number of fragments, raised {type(error).__name__}: {error}"
-            ) from error
-
-    def fingerprint(self) -> str:
-        """Hash what decides the image."""
-        names = (self.id, self.order, self.colored, sorted(self.promises.items()))
-        params = {
-            name: (param.default, param.min, param.max, param.choices) for name, param in self.params.items()
-        }
-        return fingerprint(self.function, self.transmittance, params, *names)
-
-    def entry(self) -> TechniqueInfo:
-        """Describe it as the registry does."""
-        return TechniqueInfo(
-            id=self.id,
-            name=self.name,
-            aliases=(),
-            citation=self.citation,
-            doc=self.doc,
-            axes=MappingProxyType(dict(self.axes)),
-            properties=MappingProxyType({**self.promises, "colored_transmittance": self.colored}),
-            params=table(self.params),
-            backends=("cpu",),
-            geometry_passes=_amount_text(self.geometry_passes),
-            bytes_per_pixel=_amount_text(self.bytes_per_pixel),
-            definition=self,
-        )
-
-
-def _amount_text(amount: Amount | None) -> str:
-    if amount is None:
-        return _UNSAID
-    return "by params" if callable(amount) else f"{amount:g}"
 
 
 @overload
@@ -430,10 +309,10 @@ def _all_axes(technique: str, given: Mapping[str, str] | None) -> dict[str, str]
     if given is not None and not isinstance(given, Mapping):
         raise ValueError(f"{technique}: axes must be a mapping, got {given!r}")
     for axis, value in (given or {}).items():
-        if axis not in _AXES:
-            raise ValueError(f"{technique}: unknown axis {axis!r}; the axes are {', '.join(_AXES)}")
+        if axis not in AXES:
+            raise ValueError(f"{technique}: unknown axis {axis!r}; the axes are {', '.join(AXES)}")
         _text(technique, f"axes[{axis!r}]", value)
-    return {axis: (given or {}).get(axis, _UNSAID) for axis in _AXES}
+    return {axis: (given or {}).get(axis, UNSAID) for axis in AXES}
 
 
 def unregister(id: str) -> None:
@@ -456,16 +335,7 @@ def unregister(id: str) -> None:
     >>> "mine" in oitlab.techniques()
     False
     """
-    unregister_entry(_definition(id).id)
-
-
-def _definition(id: str) -> Definition:
-    entry = techniques().get(id)
-    if entry is None or entry.definition is None:
-        mine = ", ".join(entry.id for entry in techniques() if entry.custom) or "there are none"
-        problem = "is built in" if entry else "is not registered"
-        raise ValueError(f"technique {id!r} {problem}; custom techniques: {mine}")
-    return entry.definition
+    unregister_entry(definition_of(id).id)
 
 
 @contextmanager
@@ -490,104 +360,3 @@ def temporary() -> Iterator[None]:
             unregister_entry(entry.id)
         for entry in before:
             register_entry(entry)
-
-
-@dataclass(frozen=True, slots=True)
-class Shipment:
-    """A technique of one's own on its way to another process; pickle it, and `receive` it there."""
-
-    id: str
-    fingerprint: str
-    """As `TechniqueInfo.fingerprint` where it came from."""
-    payload: bytes = field(repr=False)
-
-
-def shippable(technique_id: str) -> Shipment:
-    """Pack a technique of one's own for another process.
-
-    What can be imported there is sent by name, everything else (functions of `__main__`, of notebooks, and
-    local ones) with its code and what it refers to, by cloudpickle.
-
-    Parameters
-    ----------
-    technique_id : str
-        Under which it is registered.
-
-    Returns
-    -------
-    Shipment
-        An object that any pickler takes.
-
-    Raises
-    ------
-    ValueError
-        No custom technique has this id, or it refers to something that cannot be pickled, such as a lock.
-
-    Examples
-    --------
-    >>> import oitlab, pickle
-    >>> with oitlab.custom.temporary():
-    ...     _ = oitlab.technique(lambda batch: (batch.background, batch.alpha), id="mine")
-    ...     box = pickle.dumps(oitlab.custom.shippable("mine"))
-    >>> with oitlab.custom.temporary():
-    ...     oitlab.custom.receive(pickle.loads(box))
-    ...     print("mine" in oitlab.techniques())
-    'mine'
-    True
-    """
-    import cloudpickle  # type: ignore[import-untyped, unused-ignore]
-
-    definition = _definition(technique_id)
-    try:
-        payload = cloudpickle.dumps(definition)
-    except Exception as error:  # whatever the objects that it refers to raise
-        raise ValueError(f"technique {technique_id!r} cannot be sent to another process: {error}") from error
-    return Shipment(definition.id, definition.fingerprint(), payload)
-
-
-_received: dict[str, tuple[Shipment, Definition]] = {}
-"""By id, what was received last, so that the many tasks of a worker unpack it once."""
-
-
-def receive(shipment: Shipment) -> str:
-    """Register what `shippable` packed; what is registered already under its id is replaced.
-
-    Parameters
-    ----------
-    shipment : Shipment
-        From a process that is trusted: like every pickle it can run any code.
-
-    Returns
-    -------
-    str
-        The technique's id.
-
-    Raises
-    ------
-    ValueError
-        Not a shipment.
-    RuntimeError
-        What the shipment names is something else here, as in a worker that imported a module before it was
-        edited.
-    """
-    if not isinstance(shipment, Shipment):
-        raise ValueError(f"shipment must come from oitlab.custom.shippable, got {shipment!r}")
-    before, definition = _received.get(shipment.id, (None, None))
-    if definition is None or before != shipment:
-        definition = pickle.loads(shipment.payload)
-        if definition.fingerprint() != shipment.fingerprint:
-            raise RuntimeError(another_version(f"technique {shipment.id!r}", definition.function))
-        _received[shipment.id] = (shipment, definition)
-    entry = techniques().get(shipment.id)
-    if entry is None or entry.definition is not definition:
-        register_entry(definition.entry())
-    return shipment.id
-
-
-def another_version(what: str, value: Any) -> str:
-    """Say that this process has another state of the code of something that was sent to it by name."""
-    module = getattr(value, "__module__", None) or type(value).__module__
-    return (
-        f"{what}: the worker has another version of module {module!r} (or of what it uses, or of Python) "
-        "than the process that sent it: restart the workers, or that process where it has the older one"
-    )

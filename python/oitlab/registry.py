@@ -17,7 +17,7 @@ from ._convert import count, scalar
 from ._convert import params as python_params
 
 if TYPE_CHECKING:
-    from .custom import Definition
+    from ._custom_definition import Definition
 
 
 @dataclass(frozen=True)

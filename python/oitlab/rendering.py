@@ -16,7 +16,7 @@ from . import _oitlab
 from ._callers import outside
 from ._convert import count, flag
 from ._convert import params as python_params
-from .custom import Definition
+from ._custom_definition import Definition
 from .diagnostics import Diagnostics
 from .fragments import Fragments
 from .frame import Frame, Stats
@@ -98,7 +98,7 @@ def render(
     uniform, whose value is a param with a dotted name. Helper functions, constants, structures, vectors,
     branches and loops are run; textures, buffers, matrices and arrays are refused. Numbers are float32, and
     each operation is rounded. A fragment whose loops take 4096 turns in all gets NaN. Text has at most 8192
-    bytes; a text that is but a name has to be that of a published function.
+    bytes; a text that is but a name is that of a published function or of an argument.
 
     A callable ``weight(z, alpha)`` is given two float32 arrays of one length and returns as many weights. It
     is called for some thousand fragments at a time, in any order, from several threads, by one of them at a
@@ -106,6 +106,7 @@ def render(
 
     A bin function is an expression of ``x``, the signed distance from a bin's centre in bin widths, a module
     with ``fn bin(x: f32) -> f32``, or a callable of one array. It is asked for abs(x) <= 2.5 and is 0 beyond.
+    A fragment that it gives no share in any bin is lost, and counted.
 
     Two texts are one variant if they and their uniforms are equal, two callables if they are one object.
 

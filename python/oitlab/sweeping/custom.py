@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from importlib import import_module
 from typing import Any
 
+from .. import custom
 from .._fingerprint import examined
 from ..registry import techniques
 
@@ -30,10 +30,10 @@ def unseen_of(technique: str) -> tuple[str, ...]:
 def shippable(names: Iterable[str]) -> list[Any]:
     """Give what a worker needs to know of the techniques among `names` that are the user's own."""
     own = [name for name in dict.fromkeys(names) if technique_fingerprint(name)]
-    return [import_module("oitlab.custom").shippable(name) for name in own]
+    return [custom.shippable(name) for name in own]
 
 
 def receive(shipped: Iterable[Any]) -> None:
     """Register in this process what `shippable` gave in another."""
     for item in shipped:
-        import_module("oitlab.custom").receive(item)
+        custom.receive(item)

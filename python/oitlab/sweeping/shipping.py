@@ -17,8 +17,8 @@ from pathlib import Path
 from threading import Lock
 from typing import Any
 
+from .._custom_shipping import another_version
 from .._fingerprint import fingerprint
-from ..custom import another_version
 from .custom import receive, shippable
 from .work import Package, Row, Task, VariantFailed
 
