@@ -1,4 +1,4 @@
-"""Techniques for the tests of custom ones that other processes can import, and functions that they are made of."""
+"""Techniques for the tests of custom ones that other processes can import, and what they are made of."""
 
 from typing import Any
 

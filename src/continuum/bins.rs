@@ -43,27 +43,31 @@ impl OwnBins {
         Ok(Self { function, fades, reports: params.reports().clone() })
     }
 
-    /// The shares of all bins in reach. What is negative or not finite counts as nothing, and its fragment is reported.
+    /// The shares of all bins in reach. What is negative or not finite counts as nothing, and its fragment is reported; so
+    /// is one that has no share in any bin, since it is lost.
     #[expect(clippy::cast_possible_truncation, reason = "shares are evaluated in f32")]
     #[expect(clippy::cast_precision_loss, reason = "a few bins")]
     fn share_out(&self, xs: &[f64], shares: &mut Shares) {
-        let mut is_invalid = [false; CHUNK];
+        let (mut is_invalid, mut is_lost) = ([false; CHUNK], [true; CHUNK]);
         for (j, shares) in shares.iter_mut().enumerate() {
             let mut distance = [0.0; CHUNK];
             let to = j as f64 - REACH as f64;
             distance.iter_mut().zip(xs).for_each(|(distance, x)| *distance = (x - to) as f32);
             let shares = &mut shares[..xs.len()];
             let is_known = self.function.evaluate(&[&distance[..xs.len()]], shares);
-            for (share, is_invalid) in shares.iter_mut().zip(&mut is_invalid) {
+            for ((share, is_invalid), is_lost) in shares.iter_mut().zip(&mut is_invalid).zip(&mut is_lost) {
                 if !(*share >= 0.0 && *share < f32::INFINITY) {
                     *is_invalid |= is_known;
                     *share = 0.0;
                 } else if self.fades {
                     *share = share.min(1.0);
                 }
+                *is_lost &= is_known && *share == 0.0;
             }
         }
-        self.reports.add_invalid(is_invalid.iter().filter(|is_invalid| **is_invalid).count() as u64);
+        let reported =
+            is_invalid.iter().zip(&is_lost).take(xs.len()).filter(|(invalid, lost)| **invalid || **lost);
+        self.reports.add_invalid(reported.count() as u64);
     }
 }
 

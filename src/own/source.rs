@@ -62,9 +62,10 @@ impl Source {
         Ok(Self { text: text.to_owned(), signature, parsed, uniforms })
     }
 
-    /// Whether a text is a name rather than a function.
-    pub fn is_name(text: &str) -> bool {
-        text.trim().is_empty() || is_identifier(text.trim())
+    /// Whether a text is a name rather than a function: a function that is one of its arguments is none.
+    pub fn is_name(text: &str, signature: &Signature) -> bool {
+        let text = text.trim();
+        text.is_empty() || is_identifier(text) && !signature.arguments.contains(&text)
     }
 
     /// The text as it was given.

@@ -32,12 +32,6 @@ WRITTEN = {
 }
 
 
-@pytest.fixture(scope="module")
-def fragments(small_scene: oitlab.Scene) -> oitlab.Fragments:
-    """Some with depths that vary within a primitive."""
-    return oitlab.capture(small_scene)
-
-
 def one_per_pixel(depth: Floats) -> oitlab.Fragments:
     """Two layers per pixel: a red one at `depth`, a green one at 1 whose weight is known."""
     n = len(depth)

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from test_own_weights import Floats, counted, mb7, one_per_pixel
 
 import oitlab
-from test_own_weights import Floats, counted, mb7, one_per_pixel
 
 FRAGMENTS = one_per_pixel(np.float32([2, 3]))
 WRONG = [
