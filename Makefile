@@ -6,7 +6,7 @@ FUZZ_SECONDS ?= 600
 BIN := $(VENV)/bin
 RUST_SOURCES := $(shell find src shaders -name '*.rs' -o -name '*.wgsl') Cargo.toml Cargo.lock
 
-.PHONY: demo test test-rust test-python check fuzz bench bench-full develop format clean readme golden
+.PHONY: demo test test-rust test-python check fuzz bench bench-full develop format clean readme golden notebooks
 
 demo: develop
 	$(BIN)/oitlab demo --output out/demo
@@ -40,6 +40,10 @@ bench: develop
 
 bench-full: develop
 	$(BIN)/python benches/bench.py --huge
+
+# At full size, in place; the tests run them reduced.
+notebooks: develop
+	$(BIN)/python notebooks/run.py
 
 format:
 	cargo fmt

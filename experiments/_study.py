@@ -13,19 +13,19 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 
+from oitlab._palette import BLACK, BLUE, GREEN, GREY, ORANGE, PINK, RED, SKY, YELLOW
 from oitlab._provenance import provenance
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt
 from matplotlib.figure import Figure
 
-CHECKOUT = Path(__file__).resolve().parents[1]
+__all__ = [
+    "BLACK", "BLUE", "CHECKOUT", "GREEN", "GREY", "ORANGE", "PINK", "RED", "SKY", "YELLOW",
+    "Study", "markdown_table", "plot_style", "show_image", "srgb", "stop", "three_digits",
+]  # fmt: skip
 
-# Okabe and Ito's palette: told apart by colour-blind readers, and by lightness in greyscale print.
-BLACK, ORANGE, SKY, GREEN, YELLOW, BLUE, RED, PINK = (
-    "#000000", "#E69F00", "#56B4E9", "#009E73", "#F0E442", "#0072B2", "#D55E00", "#CC79A7",
-)  # fmt: skip
-GREY = "#777777"
+CHECKOUT = Path(__file__).resolve().parents[1]
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,10 @@ from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
-from _study import BLUE, CHECKOUT, GREY, ORANGE, Study, markdown_table, plot_style, three_digits
+import pandas as pd
+from _study import CHECKOUT, ORANGE, Study, markdown_table, plot_style, three_digits
 from matplotlib.colors import TwoSlopeNorm
+from matplotlib.lines import Line2D
 
 import oitlab
 from oitlab.report import Comparison, Row, compare_techniques, headline
@@ -166,39 +168,27 @@ def _factors(measured: list[dict[str, Any]]) -> Any:
 
 def _error_against_memory(measured: list[dict[str, Any]]) -> Any:
     """Name the techniques that no other one beats in both error and memory."""
-    columns = 4
+    columns = 3
     lines = math.ceil(len(measured) / columns)
-    figure, axes = plt.subplots(lines, columns, figsize=(11, 2.9 * lines), squeeze=False)
+    size = (11, 3.3 * lines)
+    figure, axes = plt.subplots(lines, columns, figsize=size, squeeze=False, layout="none")
+    edge = 0.55 / size[1]
+    figure.subplots_adjust(0.06, 1.2 * edge, 0.99, 1 - 0.6 * edge, wspace=0.2, hspace=0.32)
     for place in axes.flat[len(measured) :]:
         place.set_visible(False)
     for place, entry in zip(axes.flat, measured, strict=False):
         rows = [r for r in entry["rows"] if r["technique"] not in NOT_DRAWN and "," not in r["technique"]]
-        points = [(r["bytes_per_pixel"], max(r["rmse"], AS_EXACT), r["technique"]) for r in rows]
-        front = _front(points)
-        for memory, error, name in points:
-            best = (memory, error, name) in front
-            place.plot(memory, error, "o", ms=4 if best else 3, color=BLUE if best else GREY)
-        for place_in_front, (memory, error, name) in enumerate(front):
-            offset = (4, 3) if place_in_front % 2 else (-2, -9)
-            align = "right" if memory > 60 else "left"
-            text = {"textcoords": "offset points", "fontsize": 6, "ha": align}
-            place.annotate(name, (memory, error), offset, **text)
-        wboit = next(point for point in points if point[2] == "wboit")
-        place.plot(*wboit[:2], "s", ms=4, color=ORANGE)
-        place.set(title=entry["scene"], xscale="log", yscale="log")
-        place.set_xlim(6, 500)
-        place.margins(y=0.12)
-    figure.supxlabel(f"bytes per pixel; orange: wboit; RMSE below {AS_EXACT:g} drawn there", fontsize=8)
-    figure.supylabel("RMSE, linear RGB (1 = white)", fontsize=8)
+        place.set_title(entry["scene"])
+        oitlab.plot.pareto(pd.DataFrame(rows), "bytes_per_pixel", "rmse", floor=AS_EXACT, width=3.6, ax=place)
+        wboit = next(r for r in rows if r["technique"] == "wboit")
+        place.plot(wboit["bytes_per_pixel"], wboit["rmse"], "s", ms=4, color=ORANGE, zorder=4)
+    legend = axes.flat[0].get_legend()
+    texts = [text.get_text() for text in legend.get_texts()]
+    handles = [*legend.legend_handles, Line2D([], [], linestyle="none", marker="s", ms=4, color=ORANGE)]
+    for place in axes.flat[: len(measured)]:
+        place.get_legend().remove()
+    figure.legend(handles, [*texts, "wboit"], loc="lower right", ncols=len(handles))
     return figure
-
-
-def _front(points: list[tuple[float, float, str]]) -> list[tuple[float, float, str]]:
-    front: list[tuple[float, float, str]] = []
-    for point in sorted(points):
-        if not front or point[1] < front[-1][1]:
-            front.append(point)
-    return front
 
 
 if __name__ == "__main__":

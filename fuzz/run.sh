@@ -13,8 +13,9 @@ cargo +nightly --version >/dev/null 2>&1 || skip "no nightly toolchain (rustup t
 cargo +nightly fuzz --version >/dev/null 2>&1 || skip "no cargo-fuzz (cargo install cargo-fuzz --locked)"
 c++ --version >/dev/null 2>&1 || skip "no C++ compiler, which libFuzzer is built with"
 
-for target in fragments params scenes; do
+for target in fragments params scenes weights; do
     echo "fuzzing $target for $seconds s"
-    cargo +nightly fuzz run "$target" -- -max_total_time="$seconds" -timeout=20 -max_len=2000 \
+    mkdir -p "fuzz/corpus/$target" "fuzz/seeds/$target"
+    cargo +nightly fuzz run "$target" "fuzz/corpus/$target" "fuzz/seeds/$target" -- -max_total_time="$seconds" -timeout=20 -max_len=2000 \
         -rss_limit_mb=4096 -verbosity=0
 done

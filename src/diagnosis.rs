@@ -162,7 +162,7 @@ pub fn rounding(format: Format, exact: f64, stored: f64) -> Faults {
     if exact != 0.0 && stored.abs() < format.smallest_normal() {
         faults = faults.and(&[Fault::Underflow]);
     }
-    if !format.has_infinity() && exact.abs() > format.max_finite() {
+    if !format.has_infinity() && exact.abs() > format.max_finite(0) {
         faults = faults.and(&[Fault::Saturation]);
     }
     faults

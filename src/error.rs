@@ -3,6 +3,9 @@
 //! Every message names the culprit (argument, index, what was allowed), because the person who reads it
 //! sits in a notebook and cannot step into the core.
 
+use std::fmt;
+use std::sync::Arc;
+
 /// What can go wrong between a scene and a frame.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum Error {
@@ -41,12 +44,37 @@ pub enum Error {
     /// The caller asked to stop.
     #[error("the render was cancelled")]
     Cancelled,
+    /// A technique that was made outside of the core failed.
+    #[error("{0}")]
+    Raised(Raised),
 }
+
+/// What somebody else's code failed with; whoever wrote it finds the original again by downcasting.
+#[derive(Debug, Clone)]
+pub struct Raised(pub Arc<dyn std::error::Error + Send + Sync>);
+
+impl fmt::Display for Raised {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.fmt(f)
+    }
+}
+
+impl PartialEq for Raised {
+    fn eq(&self, other: &Self) -> bool {
+        Arc::ptr_eq(&self.0, &other.0)
+    }
+}
+
+impl Eq for Raised {}
 
 impl Error {
     /// An [`Error::Argument`].
     pub fn argument(argument: &'static str, problem: impl Into<String>) -> Self {
         Self::Argument { argument, problem: problem.into() }
+    }
+    /// An [`Error::Raised`].
+    pub fn raised(error: impl std::error::Error + Send + Sync + 'static) -> Self {
+        Self::Raised(Raised(Arc::new(error)))
     }
 }
 

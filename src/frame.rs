@@ -140,6 +140,8 @@ pub struct Stats {
     pub bytes_per_pixel: f64,
     /// Fragments that the technique's storage had no room for.
     pub dropped: u64,
+    /// Fragments for which a weight or bin function of the user's own gave none: see [`crate::params::Reports`].
+    pub invalid_weights: u64,
     /// What was skipped, and how often.
     pub skipped: Vec<(&'static str, u64)>,
     /// What rendered it.

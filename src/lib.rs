@@ -8,6 +8,7 @@ pub mod fragments;
 pub mod frame;
 pub mod gpu;
 pub mod order;
+pub mod own;
 pub mod params;
 #[cfg(feature = "python")]
 mod py;

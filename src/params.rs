@@ -1,11 +1,18 @@
 //! Typed reading of a technique's params: a table of specs checks what the user gave, fills in defaults and
 //! rejects what it does not know, by name.
 
-use crate::error::{Error, Result};
-use crate::format::FormatSet;
-use std::fmt;
+mod kind;
 
-/// A resolved parameter value. Text is always one of a spec's choices, hence `'static`.
+pub use kind::Kind;
+
+use crate::error::{Error, Result};
+use crate::own::{Callback, Source};
+use kind::{join, number};
+use std::borrow::Cow;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+/// A parameter value that a table can hold. Text is always one of a spec's choices, hence `'static`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Value {
     /// No value: the parameter is inactive under the other params.
@@ -24,6 +31,23 @@ pub enum Value {
     Rgb([f64; 3]),
 }
 
+/// A resolved parameter value.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Setting {
+    /// One that a table can hold.
+    Plain(Value),
+    /// A function of the user's own, in WGSL.
+    Written(Arc<Source>),
+    /// A function of the user's own, of arrays.
+    Called(Callback),
+}
+
+impl From<Value> for Setting {
+    fn from(value: Value) -> Self {
+        Self::Plain(value)
+    }
+}
+
 /// A parameter value as the user wrote it.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Input {
@@ -37,162 +61,10 @@ pub enum Input {
     Text(String),
     /// A tuple, list or array of numbers.
     Floats(Vec<f64>),
+    /// A function of arrays.
+    Function(Callback),
     /// Something else; the text says what.
     Other(String),
-}
-
-/// A parameter's type and range.
-#[derive(Debug, Clone, Copy)]
-pub enum Kind {
-    /// `True` or `False`.
-    Bool,
-    /// An integer in `min..=max`.
-    Int {
-        /// Smallest allowed.
-        min: i64,
-        /// Largest allowed; `i64::MAX` is no limit.
-        max: i64,
-    },
-    /// One of a few integers.
-    IntChoice(&'static [i64]),
-    /// A finite number in `min..=max`, without the end points that are open.
-    Float {
-        /// Lower end.
-        min: f64,
-        /// Upper end.
-        max: f64,
-        /// Whether `min` itself is excluded.
-        min_open: bool,
-        /// Whether `max` itself is excluded.
-        max_open: bool,
-    },
-    /// One of a few strings.
-    Choice(&'static [&'static str]),
-    /// A number or three of them, each in `min..=max`.
-    FloatOrRgb {
-        /// Smallest allowed.
-        min: f64,
-        /// Largest allowed.
-        max: f64,
-    },
-    /// A depth range: `"pixel"`, `"scene"` or `(z_lo, z_hi)`.
-    DepthRange,
-    /// The name of a storage format.
-    Format(FormatSet),
-}
-
-impl Kind {
-    /// Any integer from `min`, limited by memory alone.
-    pub const fn at_least(min: i64) -> Self {
-        Self::Int { min, max: i64::MAX }
-    }
-    /// A number in the closed interval.
-    pub const fn float(min: f64, max: f64) -> Self {
-        Self::Float { min, max, min_open: false, max_open: false }
-    }
-    /// A finite number above zero.
-    pub const POSITIVE: Self = Self::Float { min: 0.0, max: f64::INFINITY, min_open: true, max_open: true };
-    /// Any finite number.
-    pub const REAL: Self =
-        Self::Float { min: f64::NEG_INFINITY, max: f64::INFINITY, min_open: true, max_open: true };
-    /// A finite number of at least zero.
-    pub const NON_NEGATIVE: Self =
-        Self::Float { min: 0.0, max: f64::INFINITY, min_open: false, max_open: true };
-
-    /// The type's name as users read it.
-    pub fn type_name(&self) -> &'static str {
-        match self {
-            Self::Bool => "bool",
-            Self::Int { .. } | Self::IntChoice(_) => "int",
-            Self::Float { .. } => "float",
-            Self::Choice(_) | Self::Format(_) => "str",
-            Self::FloatOrRgb { .. } => "float or (r, g, b)",
-            Self::DepthRange => "str or (z_lo, z_hi)",
-        }
-    }
-
-    /// Reads `input`; `None` when its type or value does not fit.
-    fn read(&self, input: &Input) -> Option<Value> {
-        match (*self, input) {
-            (Self::Bool, Input::Bool(b)) => Some(Value::Bool(*b)),
-            (Self::Int { min, max }, Input::Int(i)) => (min..=max).contains(i).then_some(Value::Int(*i)),
-            (Self::IntChoice(choices), Input::Int(i)) => choices.contains(i).then_some(Value::Int(*i)),
-            (Self::Float { .. }, Input::Int(_) | Input::Float(_)) => {
-                let x = number(input)?;
-                self.contains(x).then_some(Value::Float(x))
-            }
-            (Self::Choice(choices), Input::Text(text)) => choice(choices, text),
-            (Self::FloatOrRgb { min, max }, _) => {
-                let inside = |x: &f64| (min..=max).contains(x);
-                match input {
-                    Input::Floats(v) if v.len() == 3 && v.iter().all(inside) => {
-                        Some(Value::Rgb([v[0], v[1], v[2]]))
-                    }
-                    _ => number(input).filter(inside).map(|x| Value::Rgb([x; 3])),
-                }
-            }
-            (Self::Format(formats), Input::Text(text)) => {
-                formats.find(text).map(|format| Value::Text(format.name()))
-            }
-            (Self::DepthRange, Input::Text(text)) => choice(&["pixel", "scene"], text),
-            (Self::DepthRange, Input::Floats(v)) => {
-                let fits = v.len() == 2 && v.iter().all(|z| z.is_finite()) && 0.0 <= v[0] && v[0] < v[1];
-                fits.then(|| Value::Pair(v[0], v[1]))
-            }
-            _ => None,
-        }
-    }
-
-    fn contains(&self, x: f64) -> bool {
-        let Self::Float { min, max, min_open, max_open } = *self else { return false };
-        let above = if min_open { x > min } else { x >= min };
-        let below = if max_open { x < max } else { x <= max };
-        x.is_finite() && above && below
-    }
-}
-
-fn number(input: &Input) -> Option<f64> {
-    match input {
-        #[expect(clippy::cast_precision_loss, reason = "a param beyond 2^53 has no use as a number")]
-        Input::Int(i) => Some(*i as f64),
-        Input::Float(x) => Some(*x),
-        _ => None,
-    }
-}
-
-fn choice(choices: &[&'static str], text: &str) -> Option<Value> {
-    choices.iter().find(|c| **c == text).map(|c| Value::Text(c))
-}
-
-impl fmt::Display for Kind {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match *self {
-            Self::Bool => write!(f, "True or False"),
-            Self::Int { min, max: i64::MAX } => write!(f, "an integer >= {min}"),
-            Self::Int { min, max } => write!(f, "an integer in [{min}, {max}]"),
-            Self::IntChoice(choices) => {
-                write!(f, "one of {}", join(choices.iter().map(ToString::to_string)))
-            }
-            Self::Float { min, max, min_open, max_open } => match (min.is_finite(), max.is_finite()) {
-                (false, false) => write!(f, "a finite number"),
-                (true, false) => write!(f, "a finite number {} {min}", if min_open { ">" } else { ">=" }),
-                _ => {
-                    let (open, close) = (if min_open { '(' } else { '[' }, if max_open { ')' } else { ']' });
-                    write!(f, "a number in {open}{min}, {max}{close}")
-                }
-            },
-            Self::Choice(choices) => write!(f, "one of {}", join(choices.iter().map(|c| format!("{c:?}")))),
-            Self::FloatOrRgb { min, max } => {
-                write!(f, "a number in [{min}, {max}], or three of them (r, g, b)")
-            }
-            Self::Format(formats) => write!(f, "one of {formats}"),
-            Self::DepthRange => write!(f, "\"pixel\", \"scene\" or (z_lo, z_hi) with 0 <= z_lo < z_hi"),
-        }
-    }
-}
-
-fn join(items: impl Iterator<Item = String>) -> String {
-    items.collect::<Vec<_>>().join(", ")
 }
 
 /// What a parameter is when the user says nothing.
@@ -268,7 +140,9 @@ impl View {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Checked {
     technique: &'static str,
-    given: Vec<(&'static str, Value)>,
+    given: Vec<(&'static str, Setting)>,
+    /// The uniforms of functions that are the user's own, in the order of their texts.
+    uniforms: Vec<(&'static str, String, f64)>,
 }
 
 /// Checks `inputs` against the table `specs` of `technique`.
@@ -277,7 +151,7 @@ pub struct Checked {
 /// [`Error::Param`] for the first unknown name, wrong type or value out of range.
 pub fn check(technique: &'static str, specs: &[ParamSpec], inputs: &[(String, Input)]) -> Result<Checked> {
     let mut given = Vec::with_capacity(inputs.len());
-    for (name, input) in inputs {
+    for (name, input) in inputs.iter().filter(|(name, _)| uniform_of(specs, name).is_none()) {
         let Some(spec) = specs.iter().find(|spec| spec.name == name) else {
             let names = join(specs.iter().map(|s| format!("{} ({})", s.name, s.kind)));
             return Err(Error::Param {
@@ -286,20 +160,89 @@ pub fn check(technique: &'static str, specs: &[ParamSpec], inputs: &[(String, In
                 valid: format!("its parameters are {names}"),
             });
         };
-        let Some(value) = spec.kind.read(input) else {
-            return Err(Error::Param {
-                technique,
-                problem: format!("parameter {:?} is {}", spec.name, describe(input)),
-                valid: format!(
-                    "allowed is {}; its parameters are {}",
-                    spec.kind,
-                    join(specs.iter().map(|s| s.name.to_owned()))
-                ),
-            });
-        };
-        given.push((spec.name, value));
+        let setting =
+            spec.kind.read(input).map_err(|allowed| refusal(technique, specs, spec, input, allowed))?;
+        given.push((spec.name, setting));
     }
-    Ok(Checked { technique, given })
+    let uniforms = uniforms(technique, specs, &given, inputs)?;
+    Ok(Checked { technique, given, uniforms })
+}
+
+fn refusal(
+    technique: &'static str,
+    specs: &[ParamSpec],
+    spec: &ParamSpec,
+    input: &Input,
+    allowed: String,
+) -> Error {
+    let is_source = matches!(
+        (spec.kind, input),
+        (Kind::Function { signature, .. }, Input::Text(text)) if !Source::is_name(text, signature)
+    );
+    if is_source {
+        let problem = format!("parameter {:?} is not a function:\n{allowed}\n", spec.name);
+        return Error::Param { technique, problem, valid: format!("allowed is {}", spec.kind) };
+    }
+    let names = join(specs.iter().map(|s| s.name.to_owned()));
+    Error::Param {
+        technique,
+        problem: format!("parameter {:?} is {}", spec.name, describe(input)),
+        valid: format!("{allowed}; its parameters are {names}"),
+    }
+}
+
+/// The function whose uniform a dotted name is, and the uniform's own name.
+fn uniform_of<'s, 'n>(specs: &'s [ParamSpec], name: &'n str) -> Option<(&'s ParamSpec, &'n str)> {
+    let (function, uniform) = name.split_once('.')?;
+    let spec =
+        specs.iter().find(|spec| spec.name == function && matches!(spec.kind, Kind::Function { .. }))?;
+    Some((spec, uniform))
+}
+
+/// The value of every uniform of the functions that were given.
+fn uniforms(
+    technique: &'static str,
+    specs: &[ParamSpec],
+    given: &[(&'static str, Setting)],
+    inputs: &[(String, Input)],
+) -> Result<Vec<(&'static str, String, f64)>> {
+    let fault = |problem, valid| Error::Param { technique, problem, valid };
+    let known = |function: &str| match given.iter().rev().find(|(name, _)| *name == function) {
+        Some((_, Setting::Written(source))) => source.uniforms(),
+        _ => &[],
+    };
+    let valid = |function: &str| match known(function) {
+        [] => format!(
+            "{function:?} has no uniforms here: they are the names in an expression that it does not know"
+        ),
+        names => format!("the uniforms of {function:?} are {}", join(names.iter().cloned())),
+    };
+    let mut values = Vec::new();
+    for (name, input) in inputs {
+        let Some((spec, uniform)) = uniform_of(specs, name) else { continue };
+        if !known(spec.name).iter().any(|known| known == uniform) {
+            return Err(fault(format!("unknown parameter {name:?}"), valid(spec.name)));
+        }
+        let value = number(input).filter(|x| x.is_finite() && x.abs() <= f32::MAX.into());
+        let problem = || format!("parameter {name:?} is {}", describe(input));
+        let value =
+            value.ok_or_else(|| fault(problem(), "allowed is a finite number of f32's range".into()))?;
+        values.push((spec.name, uniform, value));
+    }
+    let mut found = Vec::new();
+    for spec in specs.iter().filter(|spec| matches!(spec.kind, Kind::Function { .. })) {
+        for uniform in known(spec.name) {
+            let given =
+                values.iter().rev().find(|(function, name, _)| (*function, *name) == (spec.name, uniform));
+            let Some((_, _, value)) = given else {
+                let dotted = format!("{}.{uniform}", spec.name);
+                let problem = format!("parameter {dotted:?} is missing, a uniform of {:?}", spec.name);
+                return Err(fault(problem, format!("{}; give each a number", valid(spec.name))));
+            };
+            found.push((spec.name, uniform.clone(), *value));
+        }
+    }
+    Ok(found)
 }
 
 fn describe(input: &Input) -> String {
@@ -309,47 +252,103 @@ fn describe(input: &Input) -> String {
         Input::Float(x) => format!("{x:?}"),
         Input::Text(t) => format!("{t:?}"),
         Input::Floats(v) => format!("({})", join(v.iter().map(|x| format!("{x:?}")))),
+        Input::Function(function) => function.0.describe(),
         Input::Other(what) => what.clone(),
     }
 }
 
-/// All params of one technique, in the order of its table.
+/// All params of one technique, in the order of its table, uniforms after their functions.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Params {
     technique: &'static str,
-    values: Vec<(&'static str, Value)>,
+    values: Vec<(Cow<'static, str>, Setting)>,
     active: Vec<bool>,
+    reports: Reports,
+}
+
+/// What the user's own functions have to report, counted by whoever calls them on behalf of these params.
+#[derive(Debug, Clone, Default)]
+pub struct Reports(Arc<AtomicU64>);
+
+/// What has happened is no part of what was asked for.
+impl PartialEq for Reports {
+    fn eq(&self, _other: &Self) -> bool {
+        true
+    }
+}
+
+impl Reports {
+    /// Counts results that are no weights, or no shares.
+    pub fn add_invalid(&self, count: u64) {
+        if count > 0 {
+            self.0.fetch_add(count, Ordering::Relaxed);
+        }
+    }
+
+    /// How many there were.
+    pub fn invalid(&self) -> u64 {
+        self.0.load(Ordering::Relaxed)
+    }
 }
 
 impl Checked {
     /// Completes the params with the defaults that `view` and the other params imply.
     pub fn resolve(&self, specs: &[ParamSpec], view: &View) -> Params {
-        let mut params = Params { technique: self.technique, values: Vec::new(), active: Vec::new() };
+        let mut params = Params {
+            technique: self.technique,
+            values: Vec::new(),
+            active: Vec::new(),
+            reports: Reports::default(),
+        };
         for spec in specs {
             let given = self.given.iter().rev().find(|(name, _)| *name == spec.name);
-            let value = match (given, spec.default) {
-                (Some((_, value)), _) => *value,
-                (None, Default::Fixed(value)) => value,
-                (None, Default::Derived { rule, .. }) => rule(&params, view),
+            let setting = match (given, spec.default) {
+                (Some((_, setting)), _) => setting.clone(),
+                (None, Default::Fixed(value)) => value.into(),
+                (None, Default::Derived { rule, .. }) => rule(&params, view).into(),
             };
             let active = (spec.active)(&params);
-            params.values.push((spec.name, value));
-            params.active.push(active);
+            params.push(Cow::Borrowed(spec.name), setting, active);
+            for (_, uniform, value) in self.uniforms.iter().filter(|(function, ..)| *function == spec.name) {
+                let name = Cow::Owned(format!("{}.{uniform}", spec.name));
+                params.push(name, Value::Float(*value).into(), active);
+            }
         }
         params
     }
 }
 
 impl Params {
+    fn push(&mut self, name: Cow<'static, str>, setting: Setting, active: bool) {
+        self.values.push((name, setting));
+        self.active.push(active);
+    }
+
     /// Every param with its value.
-    pub fn iter(&self) -> impl Iterator<Item = (&'static str, Value)> + '_ {
-        self.values.iter().copied()
+    pub fn iter(&self) -> impl Iterator<Item = (&str, &Setting)> + '_ {
+        self.values.iter().map(|(name, setting)| (&**name, setting))
     }
 
     /// The params that act: what tells one variant of a technique from another.
-    pub fn identity(&self) -> Vec<(&'static str, Value)> {
+    pub fn identity(&self) -> Vec<(Cow<'static, str>, Setting)> {
         let pairs = self.values.iter().zip(&self.active);
-        pairs.filter(|(_, active)| **active).map(|(pair, _)| *pair).collect()
+        pairs.filter(|(_, active)| **active).map(|(pair, _)| pair.clone()).collect()
+    }
+
+    /// The names of the params that do nothing under the others.
+    pub fn inactive(&self) -> impl Iterator<Item = &str> + '_ {
+        let pairs = self.values.iter().zip(&self.active);
+        pairs.filter(|(_, active)| !**active).map(|((name, _), _)| &**name)
+    }
+
+    /// Where the user's own functions are reported about.
+    pub fn reports(&self) -> &Reports {
+        &self.reports
+    }
+
+    /// Whether a function of arrays acts, which is best called for many fragments at once.
+    pub fn call_out(&self) -> bool {
+        self.identity().iter().any(|(_, setting)| matches!(setting, Setting::Called(_)))
     }
 
     /// The technique's own error about a combination of params.
@@ -361,11 +360,33 @@ impl Params {
     ///
     /// # Panics
     /// If the technique's own table has no such row, or has it after the one being resolved.
-    pub fn value(&self, name: &str) -> Value {
-        match self.values.iter().find(|(n, _)| *n == name) {
-            Some((_, value)) => *value,
+    pub fn setting(&self, name: &str) -> &Setting {
+        match self.values.iter().find(|(n, _)| n == name) {
+            Some((_, setting)) => setting,
             None => panic!("{} has no param {name:?}", self.technique),
         }
+    }
+    /// The value of `name`; none where it is a function of the user's own.
+    pub fn value(&self, name: &str) -> Value {
+        match self.setting(name) {
+            Setting::Plain(value) => *value,
+            Setting::Written(_) | Setting::Called(_) => Value::None,
+        }
+    }
+    /// The values of the uniforms of a function that is the user's own.
+    #[expect(clippy::cast_possible_truncation, reason = "functions compute in f32")]
+    pub fn uniforms(&self, name: &str) -> Vec<f32> {
+        let is_uniform = |dotted: &str| dotted.split_once('.').is_some_and(|(function, _)| function == name);
+        let uniforms = self.iter().filter(|(dotted, _)| is_uniform(dotted));
+        let values = uniforms.filter_map(|(_, setting)| match setting {
+            Setting::Plain(Value::Float(x)) => Some(*x as f32),
+            _ => None,
+        });
+        values.collect()
+    }
+    /// Whether `name` is this one of its choices.
+    pub fn is(&self, name: &str, choice: &str) -> bool {
+        matches!(self.value(name), Value::Text(text) if text == choice)
     }
     /// A switch.
     pub fn bool(&self, name: &str) -> bool {
@@ -397,84 +418,5 @@ impl Params {
         }
     }
 }
-
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    const VIEW: View = View { near: 0.1, far: 100.0, depth_range: (1.0, 2.0) };
-    const SPECS: &[ParamSpec] = &[
-        ParamSpec::new("mode", Kind::Choice(&["a", "b"]), Value::Text("a"), "m"),
-        ParamSpec::new("k", Kind::POSITIVE, Value::Float(4.0), "k").when(|p| p.text("mode") == "b"),
-        ParamSpec::new("layers", Kind::at_least(1), Value::Int(8), "n"),
-        ParamSpec::new("near", Kind::POSITIVE, Value::None, "near")
-            .derived("the camera's", |_, view| Value::Float(view.near)),
-        ParamSpec::new("range", Kind::DepthRange, Value::Text("pixel"), "r"),
-        ParamSpec::new("tau", Kind::FloatOrRgb { min: 0.0, max: 1.0 }, Value::Rgb([0.0; 3]), "t"),
-        ParamSpec::new("m", Kind::IntChoice(&[4, 6, 8]), Value::Int(4), "m"),
-        ParamSpec::new("on", Kind::Bool, Value::Bool(true), "o"),
-    ];
-
-    fn checked(inputs: &[(&str, Input)]) -> Result<Checked> {
-        let inputs: Vec<_> = inputs.iter().map(|(n, v)| ((*n).to_owned(), v.clone())).collect();
-        check("demo", SPECS, &inputs)
-    }
-
-    fn message(name: &str, input: Input) -> String {
-        checked(&[(name, input)]).unwrap_err().to_string()
-    }
-
-    #[test]
-    fn defaults_follow_the_table_and_the_view() {
-        let params = checked(&[]).unwrap().resolve(SPECS, &VIEW);
-        assert_eq!(params.text("mode"), "a");
-        assert_eq!(params.float("near"), 0.1);
-        assert_eq!(params.size("layers"), 8);
-        assert!(params.bool("on"));
-    }
-
-    #[test]
-    fn integers_pass_for_floats_but_not_the_other_way_round() {
-        let params = checked(&[("k", Input::Int(3))]).unwrap().resolve(SPECS, &VIEW);
-        assert_eq!(params.float("k"), 3.0);
-        assert!(message("layers", Input::Float(3.0)).contains("an integer >= 1"));
-        assert!(message("layers", Input::Bool(true)).contains("the bool True"));
-        assert!(message("k", Input::Bool(true)).contains("\"k\""));
-    }
-
-    #[test]
-    fn errors_name_technique_key_keys_and_range() {
-        let text = message("kk", Input::Int(3));
-        assert!(text.contains("demo") && text.contains("\"kk\""), "{text}");
-        assert!(text.contains("mode (one of \"a\", \"b\")") && text.contains("layers"), "{text}");
-        let text = message("mode", Input::Text("c".into()));
-        assert!(text.contains("\"mode\" is \"c\"") && text.contains("one of \"a\", \"b\""), "{text}");
-        assert!(message("k", Input::Float(f64::NAN)).contains("> 0"));
-        assert!(message("k", Input::Float(0.0)).contains("> 0"));
-        assert!(message("layers", Input::Int(0)).contains(">= 1"));
-        assert!(message("range", Input::Floats(vec![2.0, 1.0])).contains("z_lo < z_hi"));
-        assert!(message("range", Input::Text("world".into())).contains("\"scene\""));
-        assert!(message("tau", Input::Floats(vec![0.5, 1.5, 0.0])).contains("[0, 1]"));
-        assert!(message("m", Input::Int(5)).contains("one of 4, 6, 8"));
-        assert!(message("on", Input::Other("a dict".into())).contains("is a dict"));
-    }
-
-    #[test]
-    fn inactive_params_leave_the_identity() {
-        let one = checked(&[("k", Input::Int(3))]).unwrap().resolve(SPECS, &VIEW);
-        let two = checked(&[("k", Input::Int(5))]).unwrap().resolve(SPECS, &VIEW);
-        assert_eq!(one.identity(), two.identity());
-        let b = ("mode", Input::Text("b".into()));
-        let one = checked(&[b.clone(), ("k", Input::Int(3))]).unwrap().resolve(SPECS, &VIEW);
-        let two = checked(&[b, ("k", Input::Int(5))]).unwrap().resolve(SPECS, &VIEW);
-        assert_ne!(one.identity(), two.identity());
-    }
-
-    #[test]
-    fn one_number_serves_for_three_channels() {
-        let params = checked(&[("tau", Input::Float(0.5))]).unwrap().resolve(SPECS, &VIEW);
-        assert_eq!(params.value("tau"), Value::Rgb([0.5; 3]));
-        let params = checked(&[("range", Input::Floats(vec![1.0, 2.0]))]).unwrap();
-        assert_eq!(params.resolve(SPECS, &VIEW).value("range"), Value::Pair(1.0, 2.0));
-    }
-}
+mod tests;

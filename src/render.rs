@@ -8,6 +8,7 @@ mod gpu;
 mod image;
 mod inspect;
 mod plan;
+mod request;
 mod tally;
 mod tiles;
 
@@ -17,20 +18,21 @@ pub use diagnose::{Diagnostics, diagnose};
 #[cfg(feature = "gpu")]
 pub use gpu::{capture_on_gpu, render_on_gpu};
 pub use inspect::{Transmittance, cost, order_sensitivity, transmittance};
+pub use request::{Custom, Make, Request};
 
 use crate::error::{Error, Result};
 use crate::fragments::Fragments;
 use crate::frame::{Frame, Sample, Stats};
 use crate::order::{CentroidOrder, SubmissionOrder};
-use crate::params::{Checked, Input, Params, View, check};
+use crate::params::{Params, View};
 use crate::raster::{self, Raster};
 use crate::resolve::{Context, Resolver, Variant, nanos_since};
 use crate::scene::Scene;
-use crate::technique::{Batch, DepthComplexity, Info};
-use crate::techniques::find;
+use crate::technique::{Batch, DepthComplexity};
 use image::{BackgroundRow, Patch, Target, VariantImage};
 use plan::Plan;
 use rayon::prelude::*;
+use request::Asked;
 use std::ops::Range;
 use std::sync::{Arc, Mutex};
 use std::time::Instant;
@@ -44,9 +46,6 @@ pub enum Source<'a> {
     /// Fragments that exist already.
     Fragments(&'a Fragments),
 }
-
-/// A technique's id with its params, as the user writes them.
-pub type Request = (String, Vec<(String, Input)>);
 
 /// How to render, as opposed to what.
 #[derive(Debug, Clone, Copy)]
@@ -86,21 +85,21 @@ pub fn render<S: Sample>(
     options: &Options,
     stop: &(dyn Fn() -> bool + Sync),
 ) -> Result<Vec<Frame>> {
-    let checked = requests.iter().map(check_request).collect::<Result<Vec<_>>>()?;
+    let asked = requests.iter().map(Request::check).collect::<Result<Vec<_>>>()?;
     let start = Instant::now();
     with_threads(options.threads, |threads| match source {
         Source::Scene(scene) => {
             let provisional = raster::provisional_view(scene);
-            checked.iter().try_for_each(|(info, checked)| bind(info, checked, &provisional).map(drop))?;
+            asked.iter().try_for_each(|asked| asked.bind(&provisional).map(drop))?;
             let raster = Raster::new(scene, options.tile_size, stop);
             let setup_nanos = nanos_since(start);
-            let job = Job::new::<S>(source, &raster.view(), &checked, options, stop)?;
+            let job = Job::new::<S>(source, &raster.view(), &asked, options, stop)?;
             let finished = job.scene::<S>(&raster, job.target(scene.width(), scene.height())?)?;
             let wall_nanos = nanos_since(start);
             Ok(job.frames(finished, &Clock { setup_nanos, wall_nanos, threads }))
         }
         Source::Fragments(fragments) => {
-            let job = Job::new::<S>(source, &fragments.view, &checked, options, stop)?;
+            let job = Job::new::<S>(source, &fragments.view, &asked, options, stop)?;
             let target = job.target(fragments.width, fragments.height)?;
             let finished = job.fragments::<S>(fragments, target)?;
             let wall_nanos = nanos_since(start);
@@ -122,32 +121,15 @@ fn with_threads<T: Send>(threads: Option<usize>, work: impl FnOnce(usize) -> Res
     }
 }
 
-fn check_request(request: &Request) -> Result<(&'static Info, Checked)> {
-    let info = find(&request.0)?;
-    Ok((info, check(info.id, &info.param_table(), &request.1)?))
-}
-
-fn bind(info: &'static Info, checked: &Checked, view: &View) -> Result<Variant> {
-    let params = checked.resolve(&info.param_table(), view);
-    let technique = (info.build)(&params, view)?;
-    let state = technique.cost(&DepthComplexity { mean: 1.0, max: 1 }).bytes_per_pixel;
-    if state > LARGEST_STATE {
-        return Err(Error::Memory(format!(
-            "{} under these params: it keeps {state:e} bytes per pixel",
-            info.id
-        )));
-    }
-    let seed = u64::try_from(params.int("seed")).unwrap_or(0);
-    let order = SubmissionOrder::from_name(params.text("submission_order"), seed);
-    Ok(Variant { info, params, technique, order })
-}
-
 /// A render with everything decided: each different variant once, and which of them answers which request.
 struct Job<'a> {
     variants: Vec<Variant>,
     plan: Plan,
-    /// The variants that are resolved from lists where a tile has any that must be.
+    /// The variants that are resolved from lists where a tile has any that must be: those that are handed what
+    /// fits the cache, ...
     from_lists: Vec<usize>,
+    /// ... and those that are handed the tile.
+    from_tiles: Vec<usize>,
     /// Per request: the variant that answers it, and the params as requested.
     answers: Vec<(usize, Params)>,
     centroids: Option<CentroidOrder>,
@@ -190,17 +172,16 @@ impl<'a> Job<'a> {
     fn new<S: Sample>(
         source: Source<'_>,
         view: &View,
-        checked: &[(&'static Info, Checked)],
+        asked: &[Asked],
         options: &'a Options,
         stop: &'a (dyn Fn() -> bool + Sync),
     ) -> Result<Self> {
         let mut variants: Vec<Variant> = Vec::new();
         let mut answers = Vec::new();
-        for (info, checked) in checked {
-            let variant = bind(info, checked, view)?;
+        for asked in asked {
+            let variant = asked.bind(view)?;
             let params = variant.params.clone();
-            let same =
-                |other: &Variant| other.info.id == info.id && other.params.identity() == params.identity();
+            let same = |other: &Variant| other.is_same(&variant);
             let known = if options.skip { variants.iter().position(same) } else { None };
             let index = known.unwrap_or_else(|| {
                 variants.push(variant);
@@ -210,7 +191,8 @@ impl<'a> Job<'a> {
         }
         let is_scene = matches!(source, Source::Scene(_));
         let plan = Plan::new(&variants, is_scene);
-        let from_lists: Vec<_> = plan.listed.iter().chain(&plan.overs).copied().collect();
+        let listed = plan.listed.iter().chain(&plan.overs).copied();
+        let (from_tiles, from_lists) = listed.partition(|&v| variants[v].technique.wants_large_batches());
         let start = Instant::now();
         let by_centroid = plan.listed.iter().any(|&v| variants[v].order == SubmissionOrder::Centroid);
         let centroids = by_centroid.then(|| match source {
@@ -219,7 +201,18 @@ impl<'a> Job<'a> {
         });
         let centroid_nanos = nanos_since(start);
         let shortcuts = options.skip && S::SHORTCUTS;
-        Ok(Self { variants, plan, from_lists, answers, centroids, options, shortcuts, stop, centroid_nanos })
+        Ok(Self {
+            variants,
+            plan,
+            from_lists,
+            from_tiles,
+            answers,
+            centroids,
+            options,
+            shortcuts,
+            stop,
+            centroid_nanos,
+        })
     }
 
     fn context<'b>(&'b self, selected: &'b [usize]) -> Context<'b> {
@@ -253,7 +246,7 @@ impl<'a> Job<'a> {
                 let work = |worker: &mut _| self.tile(raster, place, &nothing, &mut patch, worker);
                 workers.with(|| tiles::Worker::new(self), work)
             })
-            .reduce(|| Tally::new(self.variants.len()), |a, b| a.merge(&b));
+            .try_reduce(|| Tally::new(self.variants.len()), |a, b| Ok(a.merge(&b)))?;
         if (self.stop)() { Err(Error::Cancelled) } else { Ok(Finished { target, tally }) }
     }
 
@@ -277,16 +270,16 @@ impl<'a> Job<'a> {
                 )]
                 counts.extend((first..last).map(|i| rows.count(i) as u32));
                 tally.count(counts);
-                resolver.run(&self.context(&self.plan.listed), &batch, 0, resolved, &mut tally.variants);
+                resolver.run(&self.context(&self.plan.listed), &batch, 0, resolved, &mut tally.variants)?;
                 resolved.iter().enumerate().for_each(|(v, pixels)| patch.store(v, &rect, 0, pixels));
-                tally
+                Ok(tally)
             })
         };
         let tally = target
             .runs(&ends)
             .into_par_iter()
             .map(run)
-            .reduce(|| Tally::new(self.variants.len()), |a, b| a.merge(&b));
+            .try_reduce(|| Tally::new(self.variants.len()), |a, b| Ok(a.merge(&b)))?;
         if (self.stop)() { Err(Error::Cancelled) } else { Ok(Finished { target, tally }) }
     }
 
@@ -304,7 +297,7 @@ impl<'a> Job<'a> {
         let answer = |(request, (index, params)): (usize, &(usize, Params))| {
             let (color, transmittance, transmittance_channels) = &images[*index];
             Frame {
-                technique: self.variants[*index].info.id,
+                technique: self.variants[*index].id,
                 params: params.clone(),
                 width,
                 height,
@@ -350,6 +343,7 @@ impl<'a> Job<'a> {
             geometry_passes: cost.geometry_passes,
             bytes_per_pixel: cost.bytes_per_pixel,
             dropped: variant.dropped,
+            invalid_weights: variant.invalid_weights + self.variants[index].params.reports().invalid(),
             skipped: vec![
                 ("empty_tiles", tally.empty_tiles),
                 ("empty_pixels", tally.empty_pixels),

@@ -2,27 +2,40 @@
 //! them, and answers pixels itself where the answer is provably the technique's own.
 
 use crate::diagnosis::Diagnosis;
+use crate::error::Result;
 use crate::fragments::{Lists, ListsRef};
 use crate::order::{CentroidOrder, Reorderer, SubmissionOrder, without_zero_fragments};
+use crate::own::in_batches;
 use crate::params::Params;
 use crate::raster::Order;
-use crate::technique::{AnyTechnique, Batch, Info, Resolved, Streamed};
+use crate::technique::{AnyTechnique, Batch, Resolved, Streamed};
 use glam::{DVec3, Vec3};
 use std::time::Instant;
 
 /// A technique with its params, ready to run.
 pub struct Variant {
-    /// Its registry entry.
-    pub info: &'static Info,
-    /// Its params, resolved.
+    /// The technique's id.
+    pub id: &'static str,
+    /// What tells it from others if it was made outside of the core.
+    pub custom: Option<String>,
+    /// Its params, resolved; none if it was made outside, since they are bound already.
     pub params: Params,
     /// The technique itself.
     pub technique: Box<dyn AnyTechnique>,
     /// The order in which it gets the fragments.
     pub order: SubmissionOrder,
+    /// Whether it calls functions that are best called for many fragments at once.
+    pub calls_out: bool,
 }
 
 impl Variant {
+    /// Whether the two give the same image.
+    pub fn is_same(&self, other: &Self) -> bool {
+        self.id == other.id
+            && self.custom == other.custom
+            && self.params.identity() == other.params.identity()
+    }
+
     /// Whether the fragments are wanted nearest first, beside their submission order or instead.
     pub fn wants_sorted(&self) -> bool {
         self.technique.needs_sorted() || self.order == SubmissionOrder::Sorted
@@ -57,6 +70,8 @@ pub struct VariantTally {
     pub nanos: u64,
     /// Fragments that did not fit into the technique's storage.
     pub dropped: u64,
+    /// Weights of the user's own that were none, where they were blended while rasterising.
+    pub invalid_weights: u64,
     /// Pixels of one fragment that were composited directly.
     pub single_fragment_pixels: u64,
     /// Fragments behind one that covers its pixel, which were not looked at.
@@ -116,6 +131,9 @@ impl<'a> Prepared<'a> {
 impl Resolver {
     /// Resolves `batch` with every selected variant: `out[v][i]` is pixel `i` under variant `v`. If the batch
     /// comes sorted already, that took `sort_nanos`.
+    ///
+    /// # Errors
+    /// Only those of a technique that was made outside of the core.
     pub fn run(
         &mut self,
         context: &Context<'_>,
@@ -123,7 +141,7 @@ impl Resolver {
         sort_nanos: u64,
         out: &mut [Vec<Resolved>],
         tallies: &mut [VariantTally],
-    ) {
+    ) -> Result<()> {
         let Self { reorderer, kept, sorted, sorted_kept, reordered, pixels } = self;
         let prepared = prepare(batch, context.wants_sorted(), reorderer, [kept, sorted, sorted_kept]);
         for &v in context.selected {
@@ -133,27 +151,31 @@ impl Resolver {
             out.extend((0..batch.lists.len()).map(|i| Resolved::background(batch.background(i))));
             let (lists, sorted) = submitted(variant, &prepared, context.centroids, reorderer, reordered);
             let batch = Batch { lists, sorted, ..*batch };
-            run_variant(context, variant, &batch, pixels, out, tally);
+            run_variant(context, variant, &batch, pixels, out, tally)?;
             tally.nanos += nanos_since(start);
             if variant.wants_sorted() {
                 tally.nanos += sort_nanos + prepared.nanos;
             }
             tally.dropped += out.iter().map(|r| r.dropped).sum::<u64>();
         }
+        Ok(())
     }
 
     /// The transmittance function that `variant` reconstructs at the one pixel of `batch`, if it does.
+    ///
+    /// # Errors
+    /// Only those of a technique that was made outside of the core.
     pub fn transmittance(
         &mut self,
         variant: &Variant,
         centroids: Option<&CentroidOrder>,
         batch: &Batch<'_>,
         depths: &[f32],
-    ) -> Option<Vec<f64>> {
+    ) -> Result<Option<Vec<f64>>> {
         let Self { reorderer, kept, sorted, sorted_kept, reordered, .. } = self;
         let prepared = prepare(batch, variant.wants_sorted(), reorderer, [kept, sorted, sorted_kept]);
         let (lists, sorted) = submitted(variant, &prepared, centroids, reorderer, reordered);
-        variant.technique.transmittance(&Batch { lists, sorted, ..*batch }.pixel(0), depths)
+        variant.technique.try_transmittance(&Batch { lists, sorted, ..*batch }.pixel(0), depths)
     }
 
     /// What went wrong with the numbers of `variant` at each pixel of `batch`.
@@ -171,7 +193,14 @@ impl Resolver {
             0 => Diagnosis::CLEAR,
             _ => variant.technique.diagnose(&batch.pixel(i)),
         };
-        (0..lists.len()).map(of_pixel).collect()
+        let mut found = Vec::new();
+        let mut look = || found = (0..lists.len()).map(of_pixel).collect();
+        if variant.calls_out {
+            in_batches(look);
+        } else {
+            look();
+        }
+        found
     }
 }
 
@@ -235,7 +264,7 @@ fn run_variant(
     pixels: &mut Vec<u32>,
     out: &mut [Resolved],
     tally: &mut VariantTally,
-) {
+) -> Result<()> {
     let technique = &*variant.technique;
     // sums that may have been streamed cannot be cut short either, and a capture is to give their bits
     let is_sums = matches!(technique.streamed(), Some(Streamed::Sums(_)));
@@ -252,7 +281,14 @@ fn run_variant(
             _ => pixels.push(i as u32),
         }
     }
-    technique.resolve_batch(batch, pixels, out, &|| (context.stop)());
+    let mut found = Ok(());
+    let mut resolve = || found = technique.resolve_batch(batch, pixels, out, &|| (context.stop)());
+    if variant.calls_out {
+        in_batches(resolve);
+    } else {
+        resolve();
+    }
+    found
 }
 
 /// One fragment over the background.

@@ -230,8 +230,20 @@ pub trait AnyTechnique: Send + Sync {
     fn sees_zero_fragments(&self) -> bool;
     /// See [`Technique::COLORED_TRANSMITTANCE`].
     fn colored_transmittance(&self) -> bool;
+    /// Whether it is called with as many pixels as there are at a time, rather than with what fits the cache: a
+    /// call then costs more than the cache saves.
+    fn wants_large_batches(&self) -> bool {
+        false
+    }
     /// See [`Technique::transmittance`].
     fn transmittance(&self, pixel: &Pixel<'_>, depths: &[f32]) -> Option<Vec<f64>>;
+    /// The same, of a technique that can fail.
+    ///
+    /// # Errors
+    /// Only those of a technique that was made outside of the core.
+    fn try_transmittance(&self, pixel: &Pixel<'_>, depths: &[f32]) -> Result<Option<Vec<f64>>> {
+        Ok(self.transmittance(pixel, depths))
+    }
     /// See [`Technique::faults`].
     fn faults(&self) -> Faults;
     /// See [`Technique::diagnose`].
@@ -241,7 +253,16 @@ pub trait AnyTechnique: Send + Sync {
     /// See [`Technique::properties`].
     fn properties(&self) -> Properties;
     /// Resolves the listed pixels of `batch` into `out`, until `stop` says so.
-    fn resolve_batch(&self, batch: &Batch<'_>, pixels: &[u32], out: &mut [Resolved], stop: &dyn Fn() -> bool);
+    ///
+    /// # Errors
+    /// Only those of a technique that was made outside of the core.
+    fn resolve_batch(
+        &self,
+        batch: &Batch<'_>,
+        pixels: &[u32],
+        out: &mut [Resolved],
+        stop: &dyn Fn() -> bool,
+    ) -> Result<()>;
 }
 
 impl<T: Technique> AnyTechnique for T {
@@ -281,14 +302,15 @@ impl<T: Technique> AnyTechnique for T {
         pixels: &[u32],
         out: &mut [Resolved],
         stop: &dyn Fn() -> bool,
-    ) {
+    ) -> Result<()> {
         let mut scratch = T::Scratch::default();
         for (n, &i) in pixels.iter().enumerate() {
             if n % 64 == 0 && stop() {
-                return;
+                break;
             }
             out[i as usize] = self.resolve(&batch.pixel(i as usize), &mut scratch);
         }
+        Ok(())
     }
 }
 

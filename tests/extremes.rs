@@ -51,7 +51,7 @@ fn captured(pixels: &[[Fragment; 3]], (near, far): (f64, f64)) -> Fragments {
 #[test]
 fn numbers_at_the_ends_of_single_precision_stay_numbers() {
     let pixels = extreme_pixels();
-    let requests: Vec<Request> = REGISTRY.iter().map(|info| (info.id.to_owned(), vec![])).collect();
+    let requests: Vec<Request> = REGISTRY.iter().map(|info| (info.id.to_owned(), vec![]).into()).collect();
     for planes in [(0.1, 100.0), (f64::from(f32::MIN_POSITIVE), f64::from(f32::MAX))] {
         let fragments = captured(&pixels, planes);
         let source = Source::Fragments(&fragments);

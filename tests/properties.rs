@@ -38,6 +38,7 @@ fn config() -> ProptestConfig {
 
 /// A technique with params bound, and the request that makes it.
 struct Variant {
+    id: &'static str,
     request: Request,
     technique: Box<dyn AnyTechnique>,
 }
@@ -48,6 +49,10 @@ fn values(spec: &ParamSpec) -> Vec<Input> {
     match spec.kind {
         Kind::Choice(_) if spec.name == "submission_order" => vec![text(&"shuffled")],
         Kind::Choice(words) => words.iter().map(text).collect(),
+        Kind::Function { names, signature } => {
+            let own = format!("1.0 / (1.0 + {0} * {0})", signature.arguments[0]);
+            names.iter().map(text).chain([Input::Text(own)]).collect()
+        }
         Kind::Format(formats) => formats.iter().map(|format| text(&format.name())).collect(),
         Kind::Bool => vec![Input::Bool(false), Input::Bool(true)],
         Kind::DepthRange => vec![text(&"pixel"), text(&"scene"), Input::Floats(vec![2.0, 6.0])],
@@ -62,7 +67,7 @@ fn variant(info: &'static Info, params: Vec<(String, Input)>) -> Option<Variant>
     let table = info.param_table();
     let bound = check(info.id, &table, &params).ok()?.resolve(&table, &VIEW);
     let technique = (info.build)(&bound, &VIEW).ok()?;
-    Some(Variant { request: (info.id.to_owned(), params), technique })
+    Some(Variant { id: info.id, request: (info.id.to_owned(), params).into(), technique })
 }
 
 /// Every technique with its defaults, and with one param changed at a time; the same with everything in half precision for
@@ -74,7 +79,8 @@ fn variants() -> Vec<Variant> {
     };
     let changed = |info: &'static Info| {
         let table = info.param_table();
-        let is_algorithm = |spec: &&ParamSpec| matches!(spec.kind, Kind::Choice(_) | Kind::Bool);
+        let is_algorithm =
+            |spec: &&ParamSpec| matches!(spec.kind, Kind::Choice(_) | Kind::Function { .. } | Kind::Bool);
         let narrow = table.iter().filter(is_algorithm).filter(|_| !info.targets.is_empty());
         let narrow: Vec<_> = narrow.flat_map(one).map(in_half).collect();
         let params: Vec<_> = table.iter().flat_map(one).chain(narrow).collect();
@@ -219,7 +225,7 @@ fn means_stay_inside_the_hull_of_the_colors() {
 fn zero_fragments_do_nothing_where_they_are_not_seen() {
     let variants = variants();
     for variant in variants.iter().filter(|v| v.technique.sees_zero_fragments()) {
-        assert!(["weighted_average", "hybrid_transparency"].contains(&&*variant.request.0));
+        assert!(["weighted_average", "hybrid_transparency"].contains(&variant.id));
     }
     let zeros = prop::collection::vec((any::<Index>(), any::<Index>(), depth(), 0..40u32), 1..8);
     proptest!(config(), |(scene in scene(), zeros in zeros)| {

@@ -22,7 +22,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     command = [sys.executable, "-W", "error", str(BENCHES / "bench.py"), "--quick", "--output", str(folder)]
     finished = subprocess.run([*command, "--peers", "embree", "ppll"], capture_output=True, text=True)
     assert finished.returncode == 0, finished.stderr
-    parts = ("peers", "pareto", "scaling", "skips", "memory")
+    parts = ("peers", "pareto", "scaling", "skips", "memory", "sweep", "weights")
     found = {part: json.loads((folder / f"{part}.json").read_text()) for part in parts}
     for part in parts:
         assert {"command", "date", "commit", "cpu", "cores", "versions"} <= found[part]["about"].keys()
@@ -89,6 +89,14 @@ def test_what_is_skipped_is_what_the_scene_lacks(bench: dict[str, Any]) -> None:
         assert row["lists_together_over_alone"] > 0.0
 
 
+def test_ones_own_weights_are_measured_against_the_published_one(bench: dict[str, Any]) -> None:
+    cases = bench["weights"]["cases"]
+    assert {row["technique"] for row in cases} == {"wboit", "lwboit"}
+    for row in cases:
+        assert list(row["ratios"]) == ["WGSL", "callable"]
+        assert all(ratio > 0 for ratio in row["ratios"].values())
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="peaks of memory are read from /proc")
 def test_memory_is_measured_on_the_scene_that_was_built(bench: dict[str, Any]) -> None:
     memory = bench["memory"]
@@ -103,3 +111,13 @@ def test_memory_is_measured_on_the_scene_that_was_built(bench: dict[str, Any]) -
             assert 0 < row["peak_bytes"] < memory["limit_bytes"]
             assert row["before_bytes"] > 0
             assert row["within_limit"]
+
+
+def test_sweeps_have_all_their_points_and_a_best_one(bench: dict[str, Any]) -> None:
+    for name, row in bench["sweep"]["sweeps"].items():
+        assert row["points"] == bench["sweep"]["points"] == 30, name
+        assert row["seconds"] > 0
+        assert row["stored_rows"] == row["points"]
+        assert row["again_seconds"] < row["seconds"]
+        assert 0 < row["best"]["mse"] <= row["worst"]["mse"]
+    assert bench["sweep"]["one_by_one"]["same_mse"]

@@ -100,3 +100,15 @@ def test_threads_share_one_array() -> None:
 def test_fields_cannot_be_set(name: str) -> None:
     with pytest.raises(AttributeError):
         setattr(frame(random_image(1)), name, None)
+
+
+def test_inactive_params_are_those_that_do_nothing() -> None:
+    scene = oitlab.scenes.squares(width=8, height=6)
+    named, own = oitlab.render_many(
+        scene,
+        [("wboit", {"weight": "mb7"}), ("continuum", {"layers": 2, "weight": "a / z * k", "weight.k": 2.0})],
+    )
+    assert {"weight_k", "near", "far"} <= named.inactive_params <= named.params.keys()
+    assert not {"weight", "weight_shift"} & named.inactive_params
+    assert {"weight", "weight.k"} <= own.inactive_params  # nothing is weighed there
+    assert named.replace(technique="mine").inactive_params == named.inactive_params

@@ -149,6 +149,7 @@ WEIGHTS = [
     choice.strip('"')
     for choice in next(param for param in oitlab.techniques()["wboit"].params if param.name == "weight")
     .range.removeprefix("one of ")
+    .split("; ")[0]
     .split(", ")
 ]
 

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+import oitlab
+
 ROOT = Path(__file__).parents[1]
 
 
@@ -25,15 +27,14 @@ def test_the_example_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
     assert blocks
     monkeypatch.chdir(tmp_path)
     for block in blocks:
-        exec(compile(block, "README.md", "exec"), {})
+        with oitlab.custom.temporary():
+            exec(compile(block, "README.md", "exec"), {})
 
 
 def test_every_citation_is_in_the_bibliography() -> None:
-    import oitlab
-
     keys = set(re.findall(r"^@\w+\{(\w+),", (ROOT / "references.bib").read_text(), re.MULTILINE))
     for entry in oitlab.techniques():
         assert set(entry.citation) <= keys, entry.id
-    for path in [*ROOT.glob("python/oitlab/*.py"), ROOT / "README.md", ROOT / "DESIGN.md"]:
+    for path in [*ROOT.glob("python/oitlab/**/*.py"), ROOT / "README.md", ROOT / "DESIGN.md"]:
         cited = re.findall(r"\[([A-Z][A-Za-z]+(?:19|20)\d\d)\]", path.read_text())
         assert set(cited) <= keys, path.name

@@ -166,12 +166,12 @@ class TestContactSheet:
             assert any(np.array_equal(windows[y, x], expected) for y, x in starts)
 
     def test_reduction_keeps_means_and_isolated_errors(self):
-        from oitlab.sheet import _reduced
+        from oitlab._image import reduced
 
         image = np.zeros((5, 7))
         image[4, 6] = 8.0
-        assert _reduced(image, 2, np.max).tolist() == [[0, 0, 0, 0], [0, 0, 0, 0], [0, 0, 0, 8]]
-        assert _reduced(np.arange(16.0).reshape(4, 4), 2, np.mean).tolist() == [[2.5, 4.5], [10.5, 12.5]]
+        assert reduced(image, 2, np.max).tolist() == [[0, 0, 0, 0], [0, 0, 0, 0], [0, 0, 0, 8]]
+        assert reduced(np.arange(16.0).reshape(4, 4), 2, np.mean).tolist() == [[2.5, 4.5], [10.5, 12.5]]
 
     @pytest.mark.parametrize("count", [1, 5])
     @pytest.mark.parametrize("size", [(1, 1), (3, 200), (200, 3), (131, 257)])

@@ -103,10 +103,11 @@ pub fn run(input: &Input) {
     let Ok(fragments) = fragments else { return };
     assert!(valid, "accepted {pixels:?}");
     let bright = pixels.iter().flatten().any(|f| f.color.iter().any(|c| *c > BRIGHT));
-    let requests: Vec<Request> =
-        REGISTRY.iter().map(|info| (info.id.to_owned(), params(info, input.stored))).collect();
+    let asked: Vec<_> = REGISTRY.iter().map(|info| params(info, input.stored)).collect();
+    let request = |(info, params): (&&Info, &Vec<_>)| (info.id.to_owned(), params.clone()).into();
+    let requests: Vec<Request> = REGISTRY.iter().zip(&asked).map(request).collect();
     let frames = render_exactly(Source::Fragments(&fragments), &requests).expect("choices are valid");
-    for ((info, (_, params)), frame) in REGISTRY.iter().zip(&requests).zip(&frames) {
+    for ((info, params), frame) in REGISTRY.iter().zip(&asked).zip(&frames) {
         if bright {
             check_overflow(frame);
         } else {

@@ -4,6 +4,7 @@
 pub mod fragments;
 pub mod params;
 pub mod scenes;
+pub mod weights;
 
 use arbitrary::Arbitrary;
 use oitlab::frame::{Frame, Image};

@@ -58,7 +58,9 @@ pub fn choice(spec: Option<&ParamSpec>, i: usize) -> Value {
             let names: Vec<_> = formats.iter().map(|format| format.name()).collect();
             Value::Text(names[i % names.len()].to_owned())
         }
-        Some(Kind::Choice(words)) => Value::Text(words[i % words.len()].to_owned()),
+        Some(Kind::Choice(words) | Kind::Function { names: words, .. }) => {
+            Value::Text(words[i % words.len()].to_owned())
+        }
         Some(Kind::IntChoice(numbers)) => Value::Int(numbers[i % numbers.len()]),
         Some(Kind::DepthRange) => Value::Text(["pixel", "scene"][i % 2].to_owned()),
         _ => Value::Int(i as i64),
@@ -95,7 +97,7 @@ pub fn run(input: &Input) {
     assert!(cost.bytes_per_pixel >= 0.0, "{}: {cost:?}", info.id);
     if cost.bytes_per_pixel <= SMALL {
         let exact = technique.properties().exact_coverage;
-        match render_exactly(Source::Fragments(&pixels()), &[(info.id.to_owned(), params)]) {
+        match render_exactly(Source::Fragments(&pixels()), &[(info.id.to_owned(), params).into()]) {
             Ok(frames) => check_frame(&frames[0], exact),
             Err(error) => assert!(!error.to_string().is_empty()),
         }
@@ -110,7 +112,7 @@ fn names_the_culprit(error: &Error, params: &[(String, Value)]) {
 }
 
 /// A few layers, an empty pixel, twins, and one that covers all.
-fn pixels() -> Fragments {
+pub fn pixels() -> Fragments {
     let mut lists = Lists::new();
     let fragment =
         |depth, alpha: f32, primitive| Fragment { depth, color: [alpha, 0.5 * alpha, 0.0], alpha, primitive };

@@ -4,7 +4,7 @@ use crate::{Number, check_frame, render_exactly, samples};
 use arbitrary::Arbitrary;
 use glam::DVec3;
 use oitlab::fragments::{Fragments, FragmentsInput};
-use oitlab::render::{Options, Source, capture};
+use oitlab::render::{Options, Request, Source, capture};
 use oitlab::scene::{AlphaMode, Camera, Colors, Material, Mesh, Projection, Scene, Shading};
 use std::sync::Arc;
 
@@ -131,7 +131,7 @@ pub fn run(input: &Input) {
     });
     let again = again.expect("a capture is a valid list");
     let techniques = ["a_buffer", "wboit", "mlab", "alpha_compositing", "painter"];
-    let requests: Vec<_> = techniques.iter().map(|id| ((*id).to_owned(), vec![])).collect();
+    let requests: Vec<Request> = techniques.iter().map(|id| ((*id).to_owned(), vec![]).into()).collect();
     let direct = render_exactly(Source::Scene(&scene), &requests).expect("defaults are valid");
     let captured = render_exactly(Source::Fragments(&again), &requests).expect("defaults are valid");
     for (frame, from_capture) in direct.iter().zip(&captured) {

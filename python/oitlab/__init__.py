@@ -17,8 +17,12 @@ Examples
 True
 """
 
-from . import gpu, scenes
+from typing import TYPE_CHECKING as _TYPE_CHECKING
+from typing import Any as _Any
+
+from . import custom, gpu, scenes
 from ._oitlab import __version__
+from .custom import Batch, Param, technique, unregister
 from .diagnostics import Diagnostics
 from .exr import read_exr, write_exr
 from .fragments import Fragments
@@ -28,12 +32,17 @@ from .loading import LoadWarning, TextureWarning, load
 from .metrics import compare, error_map
 from .png import write_png
 from .registry import Cost, ParamInfo, TechniqueInfo, techniques
-from .rendering import capture, render, render_many
+from .rendering import WeightWarning, capture, render, render_many
 from .scene import Camera, Mesh, Scene
 from .splitting import ErrorPart, ErrorSplit, error_split
 from .stress_lab import stress, stress_cases
 
+if _TYPE_CHECKING:
+    from . import plot
+    from .sweeping import SweepFailed, SweepInterrupted, read_study, sweep, to_xarray
+
 __all__ = [
+    "Batch",
     "Camera",
     "Cost",
     "Diagnostics",
@@ -43,28 +52,58 @@ __all__ = [
     "Frame",
     "LoadWarning",
     "Mesh",
+    "Param",
     "ParamInfo",
     "Scene",
     "Stats",
+    "SweepFailed",
+    "SweepInterrupted",
     "TechniqueInfo",
     "TextureWarning",
     "Transmittance",
+    "WeightWarning",
     "__version__",
     "capture",
     "compare",
+    "custom",
     "error_map",
     "error_split",
     "gpu",
     "load",
     "order_sensitivity",
+    "plot",
     "read_exr",
+    "read_study",
     "render",
     "render_many",
     "scenes",
     "stress",
     "stress_cases",
+    "sweep",
+    "technique",
     "techniques",
+    "to_xarray",
     "transmittance",
+    "unregister",
     "write_exr",
     "write_png",
 ]
+
+_SWEEPING = ("SweepFailed", "SweepInterrupted", "read_study", "sweep", "to_xarray")
+
+
+def __getattr__(name: str) -> _Any:
+    # what takes longer to import than all the rest: matplotlib; a store, executors and what they bring
+    if name == "plot" or name in _SWEEPING:
+        from importlib import import_module
+
+        return (
+            import_module(".plot", __name__)
+            if name == "plot"
+            else getattr(import_module(".sweeping", __name__), name)
+        )
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -45,14 +45,18 @@ def as_image(image: ImageLike, name: str) -> NDArray[Any]:
         ...
     ValueError: image: pixel (x=1, y=0) is not finite: nan in channel 1
     """
+    array = as_shaped_image(image, name)
+    refuse_non_finite(array, name)
+    return array
+
+
+def as_shaped_image(image: ImageLike, name: str) -> NDArray[Any]:
+    """Do what `as_image` does, but let through what is not finite."""
     pixels: Any = image
     array = as_numbers(getattr(pixels, "color", pixels), name)
     if array.ndim != 3 or array.shape[2] != 3:
         raise ValueError(f"{name}: expected shape (H, W, 3), got {array.shape}")
-    if array.dtype.kind != "f":
-        array = array.astype(np.float64)
-    refuse_non_finite(array, name)
-    return array
+    return array if array.dtype.kind == "f" else array.astype(np.float64)
 
 
 def as_numbers(value: ArrayLike, name: str) -> NDArray[Any]:
@@ -167,3 +171,31 @@ def srgb_bytes(linear: NDArray[Any], exposure: float = 0.0) -> NDArray[np.uint8]
     with np.errstate(over="ignore"):
         scaled = np.asarray(linear, dtype=np.float64) * 2.0**stops
     return np.floor(255.0 * srgb_encode(scaled) + 0.5).astype(np.uint8)
+
+
+def reduced(image: NDArray[np.float64], factor: int, statistic: Any) -> NDArray[np.float64]:
+    """Reduce by a whole factor; the edges are repeated to fill the last block.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> reduced(np.array([[1.0, 3.0, 5.0]]), 2, np.mean).tolist()
+    [[2.0, 5.0]]
+    """
+    bottom, right = -image.shape[0] % factor, -image.shape[1] % factor
+    padded = np.pad(image, ((0, bottom), (0, right), *[(0, 0)] * (image.ndim - 2)), mode="edge")
+    height, width = padded.shape[0] // factor, padded.shape[1] // factor
+    blocks = padded.reshape(height, factor, width, factor, *image.shape[2:])
+    return np.asarray(statistic(blocks, axis=(1, 3)))
+
+
+def enlarged(image: NDArray[np.float64], factor: int) -> NDArray[np.float64]:
+    """Repeat every pixel `factor` times in both directions.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> enlarged(np.array([[1.0, 3.0]]), 2).tolist()
+    [[1.0, 1.0, 3.0, 3.0], [1.0, 1.0, 3.0, 3.0]]
+    """
+    return image.repeat(factor, axis=0).repeat(factor, axis=1)

@@ -1,5 +1,6 @@
 """The compiled core. `oitlab` wraps every name here; import from there."""
 
+from collections.abc import Callable
 from typing import Any, Literal, TypeAlias, final
 
 import numpy as np
@@ -7,6 +8,7 @@ from numpy.typing import NDArray
 
 __all__ = [
     "Camera",
+    "CustomTechnique",
     "Fragments",
     "Frame",
     "Mesh",
@@ -21,6 +23,7 @@ __all__ = [
     "order_sensitivity",
     "render",
     "render_gpu",
+    "settle",
     "techniques",
     "transmittance",
 ]
@@ -42,6 +45,21 @@ class Camera:
         near: float,
         far: float,
     ) -> Camera: ...
+
+@final
+class CustomTechnique:
+    def __new__(
+        cls,
+        id: str,
+        identity: str,
+        submission_order: str,
+        seed: int,
+        sorted: bool,
+        colored: bool,
+        promises: list[bool],
+        resolve: Callable[..., tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.uint64]]],
+        transmittance: Callable[..., NDArray[np.float64]] | None,
+    ) -> CustomTechnique: ...
 
 @final
 class Mesh:
@@ -129,6 +147,8 @@ class Frame:
     @property
     def params(self) -> dict[str, Any]: ...
     @property
+    def inactive_params(self) -> list[str]: ...
+    @property
     def source_hash(self) -> str: ...
     @property
     def color(self) -> NDArray[np.float32] | NDArray[np.float64]: ...
@@ -143,14 +163,14 @@ class Frame:
 
 def render(
     source: Scene | Fragments,
-    variants: list[tuple[str, dict[str, Any]]],
+    variants: list[tuple[str | CustomTechnique, dict[str, Any]]],
     threads: int | None,
     skip: bool,
     float64: bool,
 ) -> list[Frame]: ...
 def render_gpu(
     source: Scene | Fragments,
-    variants: list[tuple[str, dict[str, Any]]],
+    variants: list[tuple[str | CustomTechnique, dict[str, Any]]],
     threads: int | None,
     skip: bool,
 ) -> list[Frame]: ...
@@ -158,20 +178,20 @@ def capture_gpu(scene: Scene) -> Fragments: ...
 def gpu_info() -> dict[str, Any]: ...
 def diagnose(
     source: Scene | Fragments,
-    variants: list[tuple[str, dict[str, Any]]],
+    variants: list[tuple[str | CustomTechnique, dict[str, Any]]],
     threads: int | None,
 ) -> list[dict[str, NDArray[Any]]]: ...
 def capture(scene: Scene, threads: int | None) -> Fragments: ...
 def transmittance(
     fragments: Fragments,
-    technique: str,
+    technique: str | CustomTechnique,
     params: dict[str, Any],
     pixel: tuple[int, int],
     depths: NDArray[np.float32],
 ) -> list[NDArray[np.float64]]: ...
 def order_sensitivity(
     fragments: Fragments,
-    technique: str,
+    technique: str | CustomTechnique,
     params: dict[str, Any],
     n: int,
     seed: int,
@@ -183,4 +203,5 @@ def cost(
     depth_complexity_mean: float,
     depth_complexity_max: int,
 ) -> tuple[float, float]: ...
+def settle() -> None: ...
 def techniques() -> list[dict[str, Any]]: ...

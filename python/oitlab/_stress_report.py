@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ._atomic import replacing
+from ._palette import GREY, series
 from ._provenance import provenance
 from ._stress_cases import CASES
 from .registry import techniques
@@ -30,16 +31,8 @@ alpha 0.002, 0.1 and 0.9, at which the storage error has left the tolerance. Res
 numbers were infinite and read as the largest one. Rings: cases in which T(z) rises or is no share. Coverage:
 cases in which the background's share is not the product of 1 - alpha to 2^-24."""
 
-# Okabe and Ito's palette with a dash and a marker for each: told apart without colours, too
-_STYLES: tuple[tuple[str, Any, str], ...] = (
-    ("#0072B2", "-", "o"),
-    ("#D55E00", "--", "s"),
-    ("#009E73", "-.", "^"),
-    ("#CC79A7", ":", "D"),
-    ("#56B4E9", (0, (5, 1)), "v"),
-    ("#E69F00", (0, (3, 1, 1, 1)), "P"),
-)
-_EXACT_COLOR = "#777777"
+_STYLES = tuple(map(series, range(6)))
+_EXACT_COLOR = GREY
 
 
 def run(

@@ -1,4 +1,4 @@
-"""The command line: `oitlab render`, `oitlab compare`, `oitlab techniques`, `oitlab demo`, `oitlab stress`.
+"""The command line: `oitlab render`, `compare`, `techniques`, `demo`, `stress` and `sweep`.
 
 A scene is a mesh file or `scene:NAME`, one of the procedural scenes of `oitlab.scenes`. Every error is one
 line on stderr and exit status 2.
@@ -8,25 +8,25 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import json
+import importlib.util
 import os
-import re
 import sys
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from . import _stress_command
+from . import _stress_command, _sweep_command
+from ._scene_option import PREFIX, add_scene, add_size, scene_of
+from ._variant_text import parse_param, parse_variant, split_variants
 
 if TYPE_CHECKING:
     from .frame import Frame
     from .report import Comparison
     from .scene import Scene
 
-__all__ = ["main"]
+__all__ = ["main", "parse_param", "parse_variant", "split_variants"]
 
-_SCENE_PREFIX = "scene:"
 _INTERRUPTED = 130
 
 
@@ -53,6 +53,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     try:
         with _plain_warnings():
+            for name in options.imports:
+                _import(name)
             options.run(options)
             sys.stdout.flush()
     except BrokenPipeError:  # the reader of our output went away: `oitlab techniques | head`
@@ -66,83 +68,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-def parse_variant(text: str) -> tuple[str, dict[str, Any]]:
-    """Read one item of `--techniques`: an id, then parameters after colons; sequences in brackets.
-
-    Parameters
-    ----------
-    text : str
-        Such as "lwboit:bins=64:range=[1,2]".
-
-    Returns
-    -------
-    tuple of str and dict
-
-    Raises
-    ------
-    ValueError
-        A parameter without "=".
-
-    Examples
-    --------
-    >>> parse_variant("lwboit:bins=64:bin_function=tent")
-    ('lwboit', {'bins': 64, 'bin_function': 'tent'})
-    """
-    technique, *settings = text.split(":")
-    return technique.strip(), dict(map(parse_param, settings))
-
-
-def parse_param(text: str) -> tuple[str, Any]:
-    """Read "name=value": a JSON number, true, false or null; several as "[1,2]" or "1,2"; else text.
-
-    Raises
-    ------
-    ValueError
-        No "=" or no name.
-
-    Examples
-    --------
-    >>> parse_param("bins=64"), parse_param("smooth=false"), parse_param("weight=mb7")
-    (('bins', 64), ('smooth', False), ('weight', 'mb7'))
-    >>> parse_param("range=[1,2.5]"), parse_param("range=1,2.5")
-    (('range', (1, 2.5)), ('range', (1, 2.5)))
-    """
-    name, equals, value = text.partition("=")
-    if not equals or not name.strip():
-        raise ValueError(f"parameter {text!r}: expected name=value")
-    return name.strip(), _value(value.strip())
-
-
-def _value(text: str) -> Any:
-    """Read a JSON scalar, or a tuple of them with or without brackets; anything else stays text."""
-    for candidate in (text, f"[{text}]"):
-        with contextlib.suppress(json.JSONDecodeError):
-            parsed = json.loads(candidate)
-            if isinstance(parsed, list) and parsed and not any(map(_is_nested, parsed)):
-                return tuple(parsed)
-            if not isinstance(parsed, list | dict | str):
-                return parsed
-    return text
-
-
-def _is_nested(item: Any) -> bool:
-    return isinstance(item, list | dict | str)
-
-
-def split_variants(text: str) -> list[str]:
-    """Split the list of `--techniques` at the commas outside brackets.
-
-    Examples
-    --------
-    >>> split_variants("wboit,opacity_shadow_maps:range=[1,2]:bins=8")
-    ['wboit', 'opacity_shadow_maps:range=[1,2]:bins=8']
-    """
-    return re.split(r",(?![^\[\]]*\])", text)
-
-
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="oitlab", description="The lab bench for order-independent transparency."
+    )
+    parser.add_argument(
+        "--import",
+        dest="imports",
+        action="append",
+        default=[],
+        metavar="FILE.py|MODULE",
+        help="run this first: it registers techniques of your own; repeatable",
     )
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     _add_render(commands)
@@ -150,12 +86,28 @@ def _parser() -> argparse.ArgumentParser:
     _add_techniques(commands)
     _add_demo(commands)
     _stress_command.add(commands)
+    _sweep_command.add(commands)
     return parser
+
+
+def _import(name: str) -> None:
+    """Import a module, or a file by its path."""
+    if not name.endswith(".py"):
+        importlib.import_module(name)
+        return
+    path = Path(name).resolve()
+    if not path.is_file():
+        raise FileNotFoundError(f"--import: no file {name}")
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    if spec is None or spec.loader is None:
+        raise ImportError(f"--import: {name} is not a Python file")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
 
 
 def _add_render(commands: Any) -> None:
     command = commands.add_parser("render", help="render a scene with one technique")
-    _add_scene(command)
+    add_scene(command)
     command.add_argument(
         "--technique", default="a_buffer", metavar="ID", help="default: a_buffer, the exact image"
     )
@@ -183,7 +135,7 @@ def _add_render(commands: Any) -> None:
 
 def _add_compare(commands: Any) -> None:
     command = commands.add_parser("compare", help="compare techniques with the exact image")
-    _add_scene(command)
+    add_scene(command)
     command.add_argument(
         "--techniques",
         metavar="A,B,...",
@@ -220,24 +172,8 @@ def _add_demo(commands: Any) -> None:
     command.add_argument(
         "-o", "--output", type=Path, default=Path("out/demo"), metavar="FOLDER", help="default: out/demo"
     )
-    _add_size(command)
+    add_size(command)
     command.set_defaults(run=_demo)
-
-
-def _add_scene(command: argparse.ArgumentParser) -> None:
-    command.add_argument("scene", metavar="FILE", help="a mesh file, or scene:NAME (squares, soup, ...)")
-    command.add_argument(
-        "--opacity", type=float, metavar="ALPHA", help="replace every alpha of the file, in [0, 1]"
-    )
-    command.add_argument("--seed", type=int, metavar="N", help="of a procedural scene")
-    command.add_argument("--background", type=float, nargs=3, metavar=("R", "G", "B"), help="linear")
-    _add_size(command)
-
-
-def _add_size(command: argparse.ArgumentParser) -> None:
-    command.add_argument("--width", type=int, default=1280, metavar="PIXELS")
-    command.add_argument("--height", type=int, default=720, metavar="PIXELS")
-    command.add_argument("--threads", type=int, metavar="N", help="default: all")
 
 
 def _render(options: argparse.Namespace) -> None:
@@ -246,7 +182,7 @@ def _render(options: argparse.Namespace) -> None:
 
     targets = _targets(options)
     params = dict(map(parse_param, options.param))
-    scene = _scene(options)
+    scene = scene_of(options)
     wanted = [(options.technique, params)]
     references: list[tuple[str, dict[str, Any]]] = [(options.reference, {})] if options.reference else []
     if options.backend == "cpu":
@@ -295,8 +231,8 @@ def _compare(options: argparse.Namespace) -> None:
     names = options.techniques
     every = _all_techniques(options.backend)
     variants = every if names is None else [parse_variant(text) for text in split_variants(names)]
-    scene = _scene(options)
-    title = Path(options.scene.removeprefix(_SCENE_PREFIX)).name
+    scene = scene_of(options)
+    title = Path(options.scene.removeprefix(PREFIX)).name
     comparison = _measured(scene, variants, title, options.threads, options.reference, options.backend)
     _print_table(comparison, title)
     if options.output:
@@ -337,30 +273,6 @@ def _all_techniques(backend: str = "cpu") -> list[tuple[str, dict[str, Any]]]:
     from .registry import techniques
 
     return [(entry.id, {}) for entry in techniques() if backend in entry.backends]
-
-
-def _scene(options: argparse.Namespace) -> Scene:
-    changes: dict[str, Any] = {"width": options.width, "height": options.height}
-    if options.background is not None:
-        changes["background"] = tuple(options.background)
-    if not options.scene.startswith(_SCENE_PREFIX):
-        if options.seed is not None:
-            raise ValueError("--seed: only for procedural scenes")
-        from .loading import load
-
-        return load(options.scene, opacity=options.opacity, **changes)
-    if options.opacity is not None:
-        raise ValueError("--opacity: only for mesh files, a procedural scene has its own alphas")
-    make = _procedural(options.scene.removeprefix(_SCENE_PREFIX))
-    return make(seed=options.seed or 0).replace(**changes)
-
-
-def _procedural(name: str) -> Callable[..., Scene]:
-    from .scenes import SCENES
-
-    if name not in SCENES:
-        raise ValueError(f"unknown scene {name!r}; known: {', '.join(SCENES)}")
-    return SCENES[name]
 
 
 def _measured(

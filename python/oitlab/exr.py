@@ -9,9 +9,10 @@
 | `error` | Y | float | the error map, when one was given |
 
 The `image` part carries string attributes: `oitlab:version`, `oitlab:technique`, `oitlab:scene_hash`,
-`oitlab:params` and `oitlab:stats` (both JSON), `oitlab:parts` (the names of all parts, by which a file that
-lost its tail is recognised) and, with an error map, `oitlab:error_metric`. Every part carries the
-`chromaticities` of Rec. 709. Compression is ZIP, which is lossless.
+`oitlab:params`, `oitlab:inactive_params` and `oitlab:stats` (all JSON), `oitlab:parts` (the names of all
+parts, by which a file that lost its tail is recognised) and, with an error map,
+`oitlab:error_metric`. Every part carries the `chromaticities` of Rec. 709. Compression is ZIP,
+which is lossless.
 """
 
 from __future__ import annotations
@@ -157,6 +158,7 @@ def read_exr(
             transmittance=_floats(parts["transmittance"]),
             technique=_text(attributes, "technique"),
             params=_tuples(dict(json.loads(_text(attributes, "params")))),
+            inactive_params=_inactive_params(attributes),
             scene_hash=_text(attributes, "scene_hash"),
             stats=Stats(**json.loads(_text(attributes, "stats"))),
             first_depth=_floats(parts["depth"]),
@@ -210,6 +212,7 @@ def _attributes(frame: Frame, parts: list[str], error_metric: str) -> dict[str, 
         "oitlab:technique": frame.technique,
         "oitlab:scene_hash": frame.scene_hash,
         "oitlab:params": json.dumps(frame.params, default=_plain),
+        "oitlab:inactive_params": json.dumps(sorted(frame.inactive_params)),
         "oitlab:stats": json.dumps(dataclasses.asdict(frame.stats), default=_plain),
         "oitlab:parts": json.dumps(parts),
     }
@@ -217,9 +220,11 @@ def _attributes(frame: Frame, parts: list[str], error_metric: str) -> dict[str, 
 
 
 def _plain(value: object) -> object:
-    """Give JSON the Python form of NumPy's scalars and arrays."""
+    """Give JSON the Python form of NumPy's scalars and arrays; of functions, what they are called."""
     if isinstance(value, np.generic | np.ndarray):
         return value.tolist()
+    if callable(value):
+        return repr(value)
     raise ValueError(f"params: cannot store {value!r} of type {type(value).__name__} in an EXR attribute")
 
 
@@ -262,6 +267,13 @@ def _text(attributes: dict[str, Any], name: str) -> str:
     if not isinstance(value, str):
         raise ValueError(f"its attribute oitlab:{name} is {'lost' if value is None else 'no text'}")
     return value
+
+
+def _inactive_params(attributes: dict[str, Any]) -> frozenset[str]:
+    """Give the params without effect; none where the file is older than their names."""
+    if "oitlab:inactive_params" not in attributes:
+        return frozenset()
+    return frozenset(map(str, json.loads(_text(attributes, "inactive_params"))))
 
 
 def _tuples(value: Any) -> Any:

@@ -28,7 +28,7 @@ class Stats:
     drivers compile while they draw, so that a second frame tells more.
 
     `geometry_passes` and `bytes_per_pixel` describe a streaming GPU implementation
-    of the technique, not this renderer.
+    of the technique, not this renderer; NaN where a technique of one's own does not say.
     """
 
     total_ms: float
@@ -47,6 +47,9 @@ class Stats:
     """How much work each shortcut avoided, by the shortcut's name."""
     backend: str
     threads: int
+    invalid_weights: int = 0
+    """Fragments for which a function of one's own gave no weight (a finite number above 0; the least weight
+    took its place) or no share (a finite number from 0 up; it got none). Published ones are not looked at."""
     diagnostics: dict[str, int] = field(default_factory=dict)
     """Pixels that each kind of `Frame.diagnostics` befell; empty unless it was asked for."""
 
@@ -73,6 +76,7 @@ _FIELDS = (
     "transmittance",
     "technique",
     "params",
+    "inactive_params",
     "scene_hash",
     "stats",
     "first_depth",
@@ -83,6 +87,9 @@ _FIELDS = (
 
 class Frame:
     """An image by one technique. Arrays belong to the frame and are writable; row 0 is on top.
+
+    A notebook shows a frame as a picture: 8-bit sRGB, clipped to [0, 1], as `write_png` writes it. One of
+    more than 2048 pixels either way is reduced by a whole factor; pixels that are not finite are magenta.
 
     The fields themselves cannot be set; `replace` makes a changed copy. Frames compare by identity and can be
     pickled. What is given as a function is made when it is first asked for and then kept, so that a rendered
@@ -98,6 +105,8 @@ class Frame:
         The technique's id; aliases are resolved.
     params : dict
         Every parameter with its value, defaults included.
+    inactive_params : frozenset of str, optional
+        Names of those that do nothing under the others, such as `weight_k` with `weight="mb7"`.
     scene_hash : str, or a function that gives it
         `content_hash` of what was rendered.
     stats : Stats
@@ -131,11 +140,13 @@ class Frame:
         first_depth: Later[NDArray[np.float32]],
         fragment_count: Later[NDArray[np.uint32]],
         diagnostics: Diagnostics | None = None,
+        inactive_params: frozenset[str] = frozenset(),
     ) -> None:
         self._color: _Cell[Floats] = _Cell(color)
         self._transmittance: _Cell[Floats] = _Cell(transmittance)
         self._technique = technique
         self._params = params
+        self._inactive_params = inactive_params
         self._scene_hash = _Cell(scene_hash)
         self._stats = stats
         self._first_depth = _Cell(first_depth)
@@ -161,6 +172,11 @@ class Frame:
     def params(self) -> dict[str, Any]:
         """Every parameter with its value."""
         return self._params
+
+    @property
+    def inactive_params(self) -> frozenset[str]:
+        """Names of the parameters that do nothing under the others."""
+        return self._inactive_params
 
     @property
     def scene_hash(self) -> str:
@@ -205,6 +221,11 @@ class Frame:
     def __repr__(self) -> str:
         height, width = self.color.shape[:2]
         return f"Frame({self.technique!r}, {self.params}, {width} x {height}, {self.stats.total_ms:.1f} ms)"
+
+    def _repr_png_(self) -> bytes | None:
+        from .png import picture
+
+        return picture(self.color)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _rebuild, ({name: getattr(self, name) for name in _FIELDS},)

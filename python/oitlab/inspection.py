@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from . import _oitlab
 from ._convert import array, count, integer
 from .fragments import Fragments
-from .rendering import capture, checked_variant
+from .rendering import Bound, bind, capture, checked_variant, render, silent_weights, warn_of_weights
 from .scene import Scene
 
 
@@ -84,8 +84,9 @@ def transmittance(
         where = _steps(fragments.pixel(*place)["depth"])
     else:
         where = array(depths, "depths", np.float32, ("N",))
+    bound = _bound(technique, params)
     exact, reconstructed = _oitlab.transmittance(
-        fragments._handle, *checked_variant((technique, params)), place, where
+        fragments._handle, bound.technique, bound.params, place, where
     )
     return Transmittance(where, exact, reconstructed)
 
@@ -132,6 +133,11 @@ def order_sensitivity(
         A bad `n`, `submission_order` among the params, a technique with an order of its own (`painter`), or
         params that `render` would refuse.
 
+    Warns
+    -----
+    WeightWarning
+        As `render`, with the fragments of one image.
+
     Examples
     --------
     >>> import oitlab
@@ -143,9 +149,27 @@ def order_sensitivity(
     """
     fragments = _fragments(source)
     workers = None if threads is None else count(threads, "threads")
-    variant = checked_variant((technique, params))
+    bound = _bound(technique, params)
+    if bound.definition is not None and "submission_order" in (params or {}):
+        raise ValueError("params: submission_order is what order_sensitivity varies")
     shuffles, first = count(n, "n"), count(seed, "seed", bits=64)
-    return _oitlab.order_sensitivity(fragments._handle, *variant, shuffles, first, workers)
+    variance: NDArray[np.float64] = _oitlab.order_sensitivity(
+        fragments._handle, bound.technique, bound.params, shuffles, first, workers
+    )
+    if bound.definition is None and any(map(_is_own_function, bound.params.values())):
+        with silent_weights():
+            frame = render(fragments, technique, params, threads=threads)
+        warn_of_weights([frame])  # what is no weight in one order is none in any
+    return variance
+
+
+def _is_own_function(value: Any) -> bool:
+    """Whether it is a weight of one's own: callable, or text that is more than a published one's name."""
+    return callable(value) or (isinstance(value, str) and not value.isidentifier())
+
+
+def _bound(technique: str, params: Mapping[str, Any] | None) -> Bound:
+    return bind(*checked_variant((technique, params)))
 
 
 def _fragments(source: Scene | Fragments) -> Fragments:

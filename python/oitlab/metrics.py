@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ._convert import scalar
-from ._image import ImageLike, as_image
+from ._errors import errors_of
+from ._image import ImageLike, as_image, as_shaped_image
 
 __all__ = ["ERROR_MAPS", "METRICS", "compare", "error_map"]
 
@@ -37,7 +38,8 @@ ERROR_MAPS = ("squared", "absolute", "delta_e_2000", "delta_e_itp", "flip")
 
 _LARGEST_ERROR = 1e149
 """Largest difference whose squares, summed over a billion channels and scaled by 255^2, fit in float64."""
-_CHEAP = ("mse", "rmse", "max_error", "mse_255", "bad_pixels")
+CHEAP = ("mse", "rmse", "max_error", "mse_255", "bad_pixels")
+"""Metrics that come from one walk over the images and need no argument."""
 _Pixels: TypeAlias = NDArray[np.float64]
 
 
@@ -117,18 +119,26 @@ def compare(
     luminance = _positive("luminance", luminance)
     data_range = None if data_range is None else _positive("data_range", data_range)
     pixels_per_degree = _degree(pixels_per_degree)
-    test, exact = _pair(image, reference)
+    given = _shaped(image, reference)
+    errors = errors_of(*given, threshold if "bad_pixels" in names else None)
+    if not errors.largest <= _LARGEST_ERROR:
+        _pair(*given)  # says where
+    mse = errors.squared / given[0].size
     values: dict[str, Callable[[], float]] = {
-        "mse": lambda: _mse(test, exact),
-        "rmse": lambda: math.sqrt(_mse(test, exact)),
-        "psnr": lambda: _psnr(_mse(test, exact), data_range),
-        "max_error": lambda: float(np.abs(test - exact).max()),
-        "mse_255": lambda: 255.0**2 * _mse(test, exact),
-        "bad_pixels": lambda: float((np.abs(test - exact).max(axis=2) > threshold).mean()),
-        "delta_e_2000": lambda: float(_delta_e_2000(test, exact).mean()),
-        "delta_e_itp": lambda: float(_delta_e_itp(test, exact, luminance).mean()),
-        "flip": lambda: float(_flip(test, exact, pixels_per_degree).mean()),
+        "mse": lambda: mse,
+        "rmse": lambda: math.sqrt(mse),
+        "psnr": lambda: _psnr(mse, data_range),
+        "max_error": lambda: errors.largest,
+        "mse_255": lambda: 255.0**2 * mse,
+        "bad_pixels": lambda: errors.bad_pixels * 3 / given[0].size,
     }
+    if not values.keys() >= set(names):
+        test, exact = (array.astype(np.float64) for array in given)
+        values |= {
+            "delta_e_2000": lambda: float(_delta_e_2000(test, exact).mean()),
+            "delta_e_itp": lambda: float(_delta_e_itp(test, exact, luminance).mean()),
+            "flip": lambda: float(_flip(test, exact, pixels_per_degree).mean()),
+        }
     return {name: values[name]() for name in names}
 
 
@@ -193,7 +203,7 @@ def error_map(
 
 def _requested(metrics: str | Iterable[str] | None, data_range: float | None) -> list[str]:
     if metrics is None:
-        wanted = {*_CHEAP, *(["psnr"] if data_range is not None else [])}
+        wanted = {*CHEAP, *(["psnr"] if data_range is not None else [])}
     elif isinstance(metrics, str):
         wanted = set(METRICS) if metrics == "all" else {metrics}
     else:
@@ -207,13 +217,20 @@ def _requested(metrics: str | Iterable[str] | None, data_range: float | None) ->
     return [name for name in METRICS if name in wanted]
 
 
-def _pair(image: ImageLike, reference: ImageLike) -> tuple[_Pixels, _Pixels]:
-    test = as_image(image, "image").astype(np.float64)
-    exact = as_image(reference, "reference").astype(np.float64)
+def _shaped(image: ImageLike, reference: ImageLike) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Images of one shape; whether they are finite is seen while they are compared."""
+    test, exact = as_shaped_image(image, "image"), as_shaped_image(reference, "reference")
     if test.shape != exact.shape:
         raise ValueError(f"image and reference differ in shape: {test.shape} and {exact.shape}")
     if test.size == 0:
         raise ValueError(f"image: an image of shape {test.shape} has no pixels to compare")
+    return test, exact
+
+
+def _pair(image: ImageLike, reference: ImageLike) -> tuple[_Pixels, _Pixels]:
+    shaped = _shaped(image, reference)
+    test = as_image(shaped[0], "image").astype(np.float64)
+    exact = as_image(shaped[1], "reference").astype(np.float64)
     with np.errstate(over="ignore"):
         errors = np.abs(test - exact)
     if errors.max() > _LARGEST_ERROR:
@@ -234,10 +251,6 @@ def _positive(name: str, value: float, *, zero: bool = False) -> float:
 
 def _degree(pixels_per_degree: float | None) -> float | None:
     return None if pixels_per_degree is None else _positive("pixels_per_degree", pixels_per_degree)
-
-
-def _mse(test: _Pixels, exact: _Pixels) -> float:
-    return float(np.square(test - exact).mean())
 
 
 def _psnr(mse: float, data_range: float | None) -> float:

@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+import io
+import math
 import os
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from ._atomic import replacing
-from ._image import ImageLike, as_image, srgb_bytes
+from ._image import ImageLike, as_image, reduced, srgb_bytes
 
 __all__ = ["write_png"]
+
+_LARGEST = 2048
+"""Pixels of a picture in a notebook, each way."""
+_NOT_FINITE = (1.0, 0.0, 1.0)
 
 
 def write_png(path: str | os.PathLike[str], image: ImageLike, *, exposure: float = 0.0) -> None:
@@ -68,9 +75,43 @@ def save_bytes(path: str | os.PathLike[str], pixels: NDArray[Any]) -> None:
     ...     file.stat().st_size > 0
     True
     """
+    with replacing(path) as temporary:
+        temporary.write_bytes(encoded(pixels))
+
+
+def encoded(pixels: NDArray[Any]) -> bytes:
+    r"""Give the PNG of (H, W, 3) uint8 pixels that are sRGB-encoded already; it says that it is sRGB.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> encoded(np.zeros((1, 1, 3), np.uint8))[:4]
+    b'\x89PNG'
+    """
     from PIL import Image, PngImagePlugin
 
     chunks = PngImagePlugin.PngInfo()
     chunks.add(b"sRGB", b"\x00")  # rendering intent: perceptual
-    with replacing(path) as temporary, open(temporary, "xb") as file:
-        Image.fromarray(pixels).save(file, format="PNG", pnginfo=chunks)
+    data = io.BytesIO()
+    Image.fromarray(pixels).save(data, format="PNG", pnginfo=chunks)
+    return data.getvalue()
+
+
+def picture(linear: NDArray[Any]) -> bytes | None:
+    r"""Give the PNG that a notebook shows of (H, W, 3) linear light; None if it has no pixels.
+
+    As `write_png` without exposure, except that images of more than 2048 pixels either way are reduced by a
+    whole factor, by the mean of clipped linear light, and that pixels that are not finite are magenta.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> picture(np.full((1, 1, 3), np.nan))[:4]
+    b'\x89PNG'
+    """
+    if linear.size == 0:
+        return None
+    good = np.isfinite(linear).all(axis=2, keepdims=True)
+    light = np.where(good, linear.astype(np.float64), _NOT_FINITE)
+    factor = math.ceil(max(linear.shape[:2]) / _LARGEST)
+    return encoded(srgb_bytes(reduced(np.clip(light, 0.0, 1.0), factor, np.mean) if factor > 1 else light))

@@ -1,19 +1,23 @@
-"""The techniques that the compiled core has, as data."""
+"""The techniques that there are, as data: those of the compiled core, and those that users registered."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from html import escape
 from itertools import zip_longest
 from textwrap import wrap
+from threading import Lock
 from types import MappingProxyType
-from typing import Any, overload
+from typing import TYPE_CHECKING, Any, overload
 
 from . import _oitlab
 from ._convert import count, scalar
 from ._convert import params as python_params
+
+if TYPE_CHECKING:
+    from ._custom_definition import Definition
 
 
 @dataclass(frozen=True)
@@ -60,6 +64,35 @@ class TechniqueInfo:
     geometry_passes: str
     """Geometry passes of a streaming GPU implementation; may depend on params, hence text."""
     bytes_per_pixel: str
+    definition: Definition | None = field(default=None, repr=False, compare=False)
+    """How it was registered, if not by oitlab itself."""
+
+    @property
+    def custom(self) -> bool:
+        """Whether somebody registered it with `oitlab.technique`."""
+        return self.definition is not None
+
+    @property
+    def fingerprint(self) -> str | None:
+        """Hash of what a technique of one's own computes; None for a built-in one.
+
+        The same in every process, and after the function is defined again as it was; another one when its
+        code, what it closes over or a global that it names changes, or under another version of Python. It
+        cannot see what is reached through an attribute of a module, files, or what cannot be pickled.
+
+        Examples
+        --------
+        >>> import oitlab
+        >>> def shares(k):
+        ...     return lambda batch: (batch.background, batch.alpha ** k)
+        >>> with oitlab.custom.temporary():
+        ...     _ = oitlab.technique(shares(2), id="mine")
+        ...     squares = oitlab.techniques()["mine"].fingerprint
+        ...     _ = oitlab.technique(shares(3), id="mine")
+        ...     squares == oitlab.techniques()["mine"].fingerprint
+        False
+        """
+        return None if self.definition is None else self.definition.fingerprint()
 
     def cost(
         self,
@@ -100,7 +133,19 @@ class TechniqueInfo:
         """
         mean = scalar(depth_complexity_mean, "depth_complexity_mean")
         largest = count(depth_complexity_max, "depth_complexity_max", bits=32)
+        if self.definition is not None:
+            return self._custom_cost(self.definition, params, mean, largest)
         return Cost(*_oitlab.cost(self.id, python_params(params, self.id), mean, largest))
+
+    @staticmethod
+    def _custom_cost(
+        definition: Definition, params: Mapping[str, Any] | None, mean: float, largest: int
+    ) -> Cost:
+        if not 0.0 <= mean <= largest:
+            raise ValueError(
+                f"depth_complexity_mean: {mean} is not a number from 0 to depth_complexity_max = {largest}"
+            )
+        return definition.cost(definition.resolved(params), mean, largest)
 
     def __str__(self) -> str:
         lines = [f"{self.id}: {self.name} [{', '.join(self.citation)}]", "", self.doc.strip()]
@@ -218,16 +263,50 @@ class TechniqueTable(Sequence[TechniqueInfo]):
         return self._table()._repr_html_()
 
 
-@cache
 def techniques() -> TechniqueTable:
-    """Every technique that can be rendered.
+    """Every technique that can be rendered: oitlab's own, then those registered with `oitlab.technique`.
 
     Examples
     --------
     >>> [param.name for param in techniques()["lwboit"].params if param.name == "bins"]
     ['bins']
     """
+    return _registered or _built_in()
+
+
+@cache
+def _built_in() -> TechniqueTable:
     return TechniqueTable(_entry(raw) for raw in _oitlab.techniques())
+
+
+_registered: TechniqueTable | None = None
+"""The whole table, once users added to it; replaced as a whole, so that who reads it needs no lock."""
+_changes = Lock()
+
+
+def register_entry(entry: TechniqueInfo) -> None:
+    """Add a technique that is not the core's; one of the same id is replaced where it stands.
+
+    Raises
+    ------
+    ValueError
+        A built-in technique has that id or alias.
+    """
+    global _registered
+    taken = _built_in().get(entry.id)
+    if taken is not None:
+        raise ValueError(f"id: {entry.id!r} is taken by the built-in technique {taken.id!r}")
+    with _changes:
+        entries = {other.id: other for other in techniques()}
+        _registered = TechniqueTable({**entries, entry.id: entry}.values())
+
+
+def unregister_entry(id: str) -> None:
+    """Take out what `register_entry` added; nothing where there is nothing."""
+    global _registered
+    with _changes:
+        kept = [entry for entry in techniques() if not (entry.custom and entry.id == id)]
+        _registered = TechniqueTable(kept) if any(entry.custom for entry in kept) else None
 
 
 CELL_WIDTH = 23

@@ -51,9 +51,9 @@ class Row:
         Milliseconds of all that this image needed, such as `painter`'s sort of the primitives: from the
         kept fragments on or, where they are too many to keep, with the shared rasterisation.
     bytes_per_pixel : float
-        Memory of a streaming GPU implementation.
+        Memory of a streaming GPU implementation; NaN where a technique of one's own does not say.
     geometry_passes : float
-        Times such an implementation draws the geometry.
+        Times such an implementation draws the geometry, or NaN.
     dropped : int
         Fragments that the technique's capacity lost.
 
@@ -345,4 +345,6 @@ def _factor_text(factor: float) -> str:
 
 
 def _count_text(count: float) -> str:
+    if math.isnan(count):
+        return "-"
     return f"{count:,.0f}" if float(count).is_integer() else f"{count:,.1f}"

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ._image import srgb_bytes
+from ._image import enlarged, reduced, srgb_bytes
 from .metrics import error_map
 from .png import save_bytes
 
@@ -142,7 +142,7 @@ def _cells(comparison: Comparison, exposure: float, cell_width: int) -> Iterator
         f"{exact.technique} (reference)",
         "fragments/pixel below",
         _picture(exact.color, exposure, down, up),
-        _enlarged(_reduced(exact.fragment_count.astype(np.float64), down, np.max), up),
+        enlarged(reduced(exact.fragment_count.astype(np.float64), down, np.max), up),
     )
     for row, frame in zip(comparison.rows, comparison.frames, strict=True):
         if row.label == exact.technique:
@@ -152,25 +152,12 @@ def _cells(comparison: Comparison, exposure: float, cell_width: int) -> Iterator
             row.label,
             f"RMSE {row.rmse:.2g}, max {row.max_error:.2g}",
             _picture(frame.color, exposure, down, up),
-            _enlarged(_reduced(errors, down, np.max), up),
+            enlarged(reduced(errors, down, np.max), up),
         )
 
 
 def _picture(linear: NDArray[Any], exposure: float, down: int, up: int) -> NDArray[np.uint8]:
-    return srgb_bytes(_enlarged(_reduced(linear.astype(np.float64), down, np.mean), up), exposure)
-
-
-def _reduced(image: NDArray[np.float64], factor: int, statistic: Any) -> NDArray[np.float64]:
-    """Reduce by a whole factor; the edges are repeated to fill the last block."""
-    bottom, right = -image.shape[0] % factor, -image.shape[1] % factor
-    padded = np.pad(image, ((0, bottom), (0, right), *[(0, 0)] * (image.ndim - 2)), mode="edge")
-    height, width = padded.shape[0] // factor, padded.shape[1] // factor
-    blocks = padded.reshape(height, factor, width, factor, *image.shape[2:])
-    return np.asarray(statistic(blocks, axis=(1, 3)))
-
-
-def _enlarged(image: NDArray[np.float64], factor: int) -> NDArray[np.float64]:
-    return image.repeat(factor, axis=0).repeat(factor, axis=1)
+    return srgb_bytes(enlarged(reduced(linear.astype(np.float64), down, np.mean), up), exposure)
 
 
 def _drawn(page: _Page, cells: list[_Cell], title: str) -> NDArray[np.uint8]:

@@ -4,6 +4,9 @@ use super::functions::exp;
 use super::normalize::Core;
 use super::oracle::CHUNK;
 use super::sums::BlendSums;
+use crate::error::Result;
+use crate::own::OwnFunction;
+use crate::params::{Params, Reports};
 use multiversion::multiversion;
 use std::f64::consts::LN_2;
 
@@ -11,12 +14,61 @@ use std::f64::consts::LN_2;
 pub const BATCH: usize = 32;
 
 /// How a fragment fades with its distance from the centre of a bin.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone)]
 pub enum BinFunction {
     /// `2^-(2x)²`: 1 at the centre, 1/2 at the edge (FEE21 §3.2, sheet R1).
     Bell,
     /// `max(0, 1 − |x|)`.
     Tent,
+    /// Somebody's own.
+    Own(OwnBins),
+}
+
+/// A bin function of somebody's own: a share for the distance x from a bin's centre in bin widths.
+#[derive(Debug, Clone)]
+pub struct OwnBins {
+    function: OwnFunction,
+    /// Whether shares fade coverage, so that more than all of it makes no sense.
+    fades: bool,
+    reports: Reports,
+}
+
+impl OwnBins {
+    /// The function that the param `bin_function` is set to.
+    ///
+    /// # Errors
+    /// `Error::Param` with what is wrong with its text.
+    pub fn from_params(params: &Params, fades: bool) -> Result<Self> {
+        let function = OwnFunction::from_params(params.setting("bin_function"), "bin_function", params)?;
+        Ok(Self { function, fades, reports: params.reports().clone() })
+    }
+
+    /// The shares of all bins in reach. What is negative or not finite counts as nothing, and its fragment is reported; so
+    /// is one that has no share in any bin, since it is lost.
+    #[expect(clippy::cast_possible_truncation, reason = "shares are evaluated in f32")]
+    #[expect(clippy::cast_precision_loss, reason = "a few bins")]
+    fn share_out(&self, xs: &[f64], shares: &mut Shares) {
+        let (mut is_invalid, mut is_lost) = ([false; CHUNK], [true; CHUNK]);
+        for (j, shares) in shares.iter_mut().enumerate() {
+            let mut distance = [0.0; CHUNK];
+            let to = j as f64 - REACH as f64;
+            distance.iter_mut().zip(xs).for_each(|(distance, x)| *distance = (x - to) as f32);
+            let shares = &mut shares[..xs.len()];
+            let is_known = self.function.evaluate(&[&distance[..xs.len()]], shares);
+            for ((share, is_invalid), is_lost) in shares.iter_mut().zip(&mut is_invalid).zip(&mut is_lost) {
+                if !(*share >= 0.0 && *share < f32::INFINITY) {
+                    *is_invalid |= is_known;
+                    *share = 0.0;
+                } else if self.fades {
+                    *share = share.min(1.0);
+                }
+                *is_lost &= is_known && *share == 0.0;
+            }
+        }
+        let reported =
+            is_invalid.iter().zip(&is_lost).take(xs.len()).filter(|(invalid, lost)| **invalid || **lost);
+        self.reports.add_invalid(reported.count() as u64);
+    }
 }
 
 /// A smooth fragment reaches this many bins beyond its own; the bell is below 1e-7 there.
@@ -24,24 +76,26 @@ pub const REACH: usize = 2;
 /// The number of bins in reach.
 pub const SUPPORT: usize = 2 * REACH + 1;
 
-impl BinFunction {
-    /// The function at the bins `own − REACH ..= own + REACH`, for a fragment `x` bin widths behind the
-    /// centre of its own, `|x| <= 1/2`.
-    #[inline(always)]
-    #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
-    #[expect(clippy::cast_possible_truncation, reason = "weights are evaluated in f32")]
-    pub fn shares(self, x: f64) -> [f32; SUPPORT] {
-        let x = x as f32;
-        match self {
-            Self::Bell => {
-                // 2^-4(x−j)² = 2^-4x² 2^8xj 2^-4j²: two exponentials for all five bins
-                let (own, step) = (exp2(-4.0 * x * x), exp2(8.0 * x));
-                let (one, two) = (own * 0.0625, own * 2.0_f32.powi(-16));
-                [two / (step * step), one / step, own, one * step, two * step * step]
-            }
-            Self::Tent => [0.0, (-x).max(0.0), 1.0 - x.abs(), x.max(0.0), 0.0],
-        }
-    }
+/// A published function at the bins `own − REACH ..= own + REACH`, for a fragment `x` bin widths behind the centre of
+/// its own, `|x| <= 1/2`.
+#[inline(always)]
+#[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+#[expect(clippy::cast_possible_truncation, reason = "weights are evaluated in f32")]
+fn bell(x: f64) -> [f32; SUPPORT] {
+    let x = x as f32;
+    // 2^-4(x−j)² = 2^-4x² 2^8xj 2^-4j²: two exponentials for all five bins
+    let (own, step) = (exp2(-4.0 * x * x), exp2(8.0 * x));
+    let (one, two) = (own * 0.0625, own * 2.0_f32.powi(-16));
+    [two / (step * step), one / step, own, one * step, two * step * step]
+}
+
+/// The same for the tent.
+#[inline(always)]
+#[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+#[expect(clippy::cast_possible_truncation, reason = "weights are evaluated in f32")]
+fn tent(x: f64) -> [f32; SUPPORT] {
+    let x = x as f32;
+    [0.0, (-x).max(0.0), 1.0 - x.abs(), x.max(0.0), 0.0]
 }
 
 /// 2^x, rounded once from f64.
@@ -55,13 +109,28 @@ fn exp2(x: f32) -> f32 {
 /// The shares of a chunk of fragments, bin by bin of their reach.
 pub type Shares = [[f32; CHUNK]; SUPPORT];
 
-/// [`BinFunction::shares`] of each fragment.
-#[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
-pub fn share_out(function: BinFunction, xs: &[f64], shares: &mut Shares) {
+/// The function of each fragment, `xs` bin widths behind the centre of its own bin, at the bins in reach.
+pub fn share_out(function: &BinFunction, xs: &[f64], shares: &mut Shares) {
     match function {
-        BinFunction::Bell => share_with(xs, shares, |x| BinFunction::Bell.shares(x)),
-        BinFunction::Tent => share_with(xs, shares, |x| BinFunction::Tent.shares(x)),
+        BinFunction::Bell => share_bells(xs, shares),
+        BinFunction::Tent => share_tents(xs, shares),
+        BinFunction::Own(own) => own.share_out(xs, shares),
     }
+}
+
+#[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
+fn share_bells(xs: &[f64], shares: &mut Shares) {
+    share_with(xs, shares, bell);
+}
+
+#[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
+fn share_tents(xs: &[f64], shares: &mut Shares) {
+    share_with(xs, shares, tent);
+}
+
+/// The shares of fragment `i`.
+pub fn shares_of(shares: &Shares, i: usize) -> [f32; SUPPORT] {
+    std::array::from_fn(|j| shares[j][i])
 }
 
 #[inline(always)]
@@ -146,9 +215,7 @@ mod tests {
     fn bin_functions_are_the_papers() {
         for i in -8..=8_i8 {
             let x = f64::from(i) / 16.0;
-            for (j, (bell, tent)) in
-                (-2..).zip(BinFunction::Bell.shares(x).into_iter().zip(BinFunction::Tent.shares(x)))
-            {
+            for (j, (bell, tent)) in (-2..).zip(bell(x).into_iter().zip(tent(x))) {
                 let distance = x - f64::from(j);
                 let exact = (-4.0 * distance * distance).exp2();
                 assert!((f64::from(bell) / exact - 1.0).abs() < 1e-6, "{x} {j}: {bell} for {exact}");
@@ -160,10 +227,10 @@ mod tests {
     /// Sheet R2: bells sum to 1.0039 at a bin's edge and 1.125 at its centre, tents to 1.
     #[test]
     fn bells_are_no_partition_of_unity() {
-        let sum = |f: BinFunction, x| f.shares(x).iter().map(|b| f64::from(*b)).sum::<f64>();
-        assert!((sum(BinFunction::Bell, 0.5) - 1.0039).abs() < 1e-4);
-        assert!((sum(BinFunction::Bell, 0.0) - 1.1250).abs() < 1e-4);
-        assert_eq!(sum(BinFunction::Tent, 0.3125), 1.0);
+        let sum = |shares: [f32; SUPPORT]| shares.iter().map(|b| f64::from(*b)).sum::<f64>();
+        assert!((sum(bell(0.5)) - 1.0039).abs() < 1e-4);
+        assert!((sum(bell(0.0)) - 1.1250).abs() < 1e-4);
+        assert_eq!(sum(tent(0.3125)), 1.0);
     }
 
     #[test]

@@ -212,7 +212,7 @@ impl Nodes {
     pub fn keep(self, color: DVec3) -> DVec3 {
         let mut texel = color.to_array();
         self.color.round_texel(&mut texel);
-        DVec3::from(texel.map(|x| self.color.read(x)))
+        DVec3::from(self.color.read_texel(texel))
     }
 
     /// What can befall a colour that is written.

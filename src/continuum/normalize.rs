@@ -103,7 +103,10 @@ impl Normalize for Tail {
         let Some(weighting) = &self.weighting else {
             return core.over_tail(sums_of(list, lost).over(pixel.background));
         };
-        weighting.evaluate(list.depth, list.alpha, weights);
+        if !lost.is_empty() {
+            let is_lost = |i| lost.iter().any(|&place| place as usize == i);
+            weighting.evaluate_for(list.depth, list.alpha, weights, is_lost);
+        }
         let mut sums = BlendSums::CLEAR;
         for i in lost.iter().map(|&i| i as usize) {
             sums.add(weights[i], list.color[i], list.alpha[i]);

@@ -153,7 +153,7 @@ impl Recipe {
 
     /// The exponent that the largest scaled sum is kept at: two bits of headroom, for one more fragment as large.
     fn scaled_top(self) -> i64 {
-        let least = |format: Format| exponent_of(format.max_finite()) - 2;
+        let least = |format: Format| exponent_of(format.max_finite(0)) - 2;
         least(self.rgb).min(least(self.alpha)).min(200)
     }
 }
@@ -285,7 +285,7 @@ impl StoredSums {
                 if before.abs() >= source.abs() { (before, source) } else { (source, before) };
             let error = (large - after) + small;
             // what is beyond the largest number is lost, not left
-            self.rest[channel] += if after.abs() < format.max_finite() { error } else { 0.0 };
+            self.rest[channel] += if after.abs() < format.max_finite(channel) { error } else { 0.0 };
         }
         recipe.round_rest(&mut self.rest);
     }
@@ -341,7 +341,7 @@ impl StoredSums {
                     let quantum = Power::of_two(-i64::from(integer_bits(format) / 2));
                     self.integers[channel] as f64 * quantum.as_f64()
                 }
-                _ => format.read(self.sums[channel]) + self.rest[channel],
+                _ => format.read_channel(self.sums[channel], channel) + self.rest[channel],
             };
         }
         // how a common factor is chosen beyond f64's range makes no difference to an average

@@ -10,9 +10,10 @@ use crate::weight::Weighting;
 /// The stored blend of the fragments at these places of a list.
 pub fn stored_sums_of(recipe: Recipe, weighting: Option<&Weighting>, list: List<'_>, places: &[u32]) -> Sums {
     let (mut sums, mut weights) = (StoredSums::CLEAR, Vec::new());
-    recipe.weigh(weighting, list.depth, list.alpha, &mut weights);
-    for i in places.iter().map(|&i| i as usize) {
-        sums.add(recipe, weights[i], list.color[i], list.alpha[i]);
+    let of = |numbers: &[f32]| places.iter().map(|&i| numbers[i as usize]).collect::<Vec<_>>();
+    recipe.weigh(weighting, &of(list.depth), &of(list.alpha), &mut weights);
+    for (&i, &weight) in places.iter().zip(&weights) {
+        sums.add(recipe, weight, list.color[i as usize], list.alpha[i as usize]);
     }
     sums.read(recipe)
 }

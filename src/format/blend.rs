@@ -61,7 +61,17 @@ impl Format {
 
     /// What a resolve reads: an infinite number counts as the largest one.
     pub fn read(self, stored: f64) -> f64 {
-        if stored.is_infinite() { self.max_finite().copysign(stored) } else { stored }
+        self.read_channel(stored, 0)
+    }
+
+    /// The same of one channel of a texel: those of a packed format need not end at one number.
+    pub fn read_channel(self, stored: f64, channel: usize) -> f64 {
+        if stored.is_infinite() { self.max_finite(channel).copysign(stored) } else { stored }
+    }
+
+    /// The same of a whole texel.
+    pub fn read_texel<const N: usize>(self, stored: [f64; N]) -> [f64; N] {
+        std::array::from_fn(|channel| self.read_channel(stored[channel], channel))
     }
 }
 

@@ -133,9 +133,9 @@ impl Format {
         }
     }
 
-    /// The largest finite number; of a packed format, of its first channel.
-    pub fn max_finite(self) -> f64 {
-        match (self, self.float(0)) {
+    /// The largest finite number of a texel's channel.
+    pub fn max_finite(self, channel: usize) -> f64 {
+        match (self, self.float(channel)) {
             (_, Some(float)) => float.largest(),
             (Self::Rgb9e5, _) => round::RGB9E5_MAX,
             _ => 1.0,

@@ -54,7 +54,7 @@ fn every_float_of_16_bits_and_what_is_between_them() {
     for (format, numbers) in [(Format::F16, halves()), (Format::Bf16, brain_floats())] {
         rounds_to_nearest_even(&numbers, |x| format.round(x));
         rounds_to_nearest_even(&numbers, |x| -format.round(-x));
-        assert_eq!(format.max_finite(), numbers[numbers.len() - 1].0);
+        assert_eq!(format.max_finite(0), numbers[numbers.len() - 1].0);
         assert_eq!(format.smallest_positive(), numbers[1].0);
         assert!(format.round(-1e-300).is_sign_negative() && format.round(f64::NAN).is_nan());
         assert_eq!(format.round(f64::NEG_INFINITY), f64::NEG_INFINITY);
@@ -72,6 +72,8 @@ fn every_number_of_r11g11b10f_and_what_is_between_them() {
         let round = |x| Format::R11g11b10f.round_channel(x, channel);
         rounds_to_nearest_even(&numbers, round);
         assert_eq!(numbers[numbers.len() - 1].0, largest);
+        assert_eq!(Format::R11g11b10f.max_finite(channel), largest);
+        assert_eq!(Format::R11g11b10f.read_texel([f64::INFINITY; 3])[channel], largest);
         assert_eq!([-1e-9, -3.0, f64::NEG_INFINITY, -0.0].map(round).map(f64::to_bits), [0; 4]);
         assert!(round(f64::NAN).is_nan());
     }
@@ -276,13 +278,13 @@ fn names_are_those_of_the_formats() {
 fn limits_are_numbers_of_their_formats() {
     for format in Format::ALL {
         let smallest = format.smallest_positive();
-        for x in [format.max_finite(), smallest, format.smallest_normal()] {
+        for x in [format.max_finite(0), smallest, format.smallest_normal()] {
             assert_eq!(format.round(x), x, "{format:?}");
         }
         assert!(format.round(0.2 * smallest) < smallest || format == Format::F64, "{format:?}");
         assert_eq!(format.round(f64::MAX).is_infinite(), format.has_infinity() && format != Format::F64);
     }
-    let largest = |format: Format| format.max_finite();
+    let largest = |format: Format| format.max_finite(0);
     assert_eq!(largest(Format::Rgb9e5), 65_408.0);
     assert_eq!((largest(Format::F64), largest(Format::F32)), (f64::MAX, f64::from(f32::MAX)));
     assert!((Format::Srgb8.unit_roundoff() - 0.0045).abs() < 1e-4);

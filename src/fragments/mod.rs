@@ -167,6 +167,14 @@ impl Lists {
     pub fn end_row(&mut self) {
         self.offsets.push(self.depth.len() as i64);
     }
+    /// Appends a row.
+    pub fn append_list(&mut self, row: List<'_>) {
+        self.depth.extend_from_slice(row.depth);
+        self.color.extend_from_slice(row.color);
+        self.alpha.extend_from_slice(row.alpha);
+        self.primitive.extend_from_slice(row.primitive);
+        self.end_row();
+    }
     /// So many rows without fragments.
     pub fn empty_rows(rows: usize) -> Self {
         Self { offsets: vec![0; rows + 1], ..Self::default() }

@@ -1,13 +1,16 @@
 //! Params and registry entries between Python and the core.
 
-use crate::params::{Default as ParamDefault, Input, ParamSpec, Value};
+use super::function::{Failures, PyFunction};
+use crate::own::Callback;
+use crate::params::{Default as ParamDefault, Input, ParamSpec, Setting, Value};
 use crate::technique::Info;
 use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
 use pyo3::types::{PyBool, PyDict, PyFloat, PyInt, PyString, PyTuple};
+use std::sync::Arc;
 
 /// A Python value as a technique's param. NumPy scalars are unwrapped by their `item` method.
-fn input(value: &Bound<'_, PyAny>) -> PyResult<Input> {
+fn input(value: &Bound<'_, PyAny>, name: &str, failures: &Failures) -> PyResult<Input> {
     if value.is_instance_of::<PyBool>() {
         return Ok(Input::Bool(value.extract()?));
     }
@@ -25,29 +28,48 @@ fn input(value: &Bound<'_, PyAny>) -> PyResult<Input> {
     }
     let is_numpy = value.get_type().module().is_ok_and(|m| m == "numpy");
     if is_numpy && value.getattr("ndim").and_then(|n| n.extract::<usize>()).is_ok_and(|n| n == 0) {
-        return input(&value.call_method0("item")?);
+        return input(&value.call_method0("item")?, name, failures);
     }
     if let Ok(numbers) = value.extract::<Vec<f64>>() {
         return Ok(Input::Floats(numbers));
+    }
+    if value.is_callable() {
+        let function = PyFunction::new(value, name, failures);
+        return Ok(Input::Function(Callback(Arc::new(function))));
     }
     let what = value.repr().map_or_else(|_| "something unprintable".to_owned(), |r| r.to_string());
     Ok(Input::Other(format!("{what} ({})", value.get_type().name()?)))
 }
 
-/// A dict of params. `None` stands for a param's default, as it does in `frame.params`.
+/// A dict of params. `None` stands for a param's default, as it does in `frame.params`. What functions among them raise
+/// goes to `failures`.
 ///
 /// # Errors
 /// `TypeError` for a key that is not a string.
-pub fn inputs(params: &Bound<'_, PyDict>) -> PyResult<Vec<(String, Input)>> {
+pub fn inputs(params: &Bound<'_, PyDict>, failures: &Failures) -> PyResult<Vec<(String, Input)>> {
     let pair = |(key, value): (Bound<'_, PyAny>, Bound<'_, PyAny>)| {
         let name = key.extract::<String>();
         let name = name.map_err(|_| PyTypeError::new_err(format!("param name {key} is not a string")))?;
-        Ok((name, input(&value)?))
+        let value = input(&value, &name, failures)?;
+        Ok((name, value))
     };
     params.iter().filter(|(_, value)| !value.is_none()).map(pair).collect()
 }
 
-/// A resolved param as Python sees it.
+/// A resolved param as Python sees it: functions are what they were given as.
+pub fn setting<'py>(py: Python<'py>, setting: &Setting) -> PyResult<Bound<'py, PyAny>> {
+    match setting {
+        Setting::Plain(plain) => value(py, *plain),
+        Setting::Written(source) => Ok(PyString::new(py, source.text()).into_any()),
+        Setting::Called(Callback(function)) => {
+            let function = function.as_any().downcast_ref::<PyFunction>();
+            let function = function.ok_or_else(|| PyTypeError::new_err("a function that is not Python's"))?;
+            Ok(function.callable(py))
+        }
+    }
+}
+
+/// A value of a table as Python sees it.
 pub fn value(py: Python<'_>, value: Value) -> PyResult<Bound<'_, PyAny>> {
     Ok(match value {
         Value::None => py.None().into_bound(py),

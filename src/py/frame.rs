@@ -1,7 +1,7 @@
 //! Frames: images are shared with NumPy without a copy, on first access.
 
 use super::arrays::image;
-use super::convert::value;
+use super::convert::setting;
 use super::run::AnySource;
 use crate::frame::Frame;
 use crate::render::DepthImages;
@@ -52,9 +52,13 @@ impl PyFrame {
     fn params<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let dict = PyDict::new(py);
         for (name, param) in self.frame.params.iter() {
-            dict.set_item(name, value(py, param)?)?;
+            dict.set_item(name, setting(py, param)?)?;
         }
         Ok(dict)
+    }
+    #[getter]
+    fn inactive_params(&self) -> Vec<String> {
+        self.frame.params.inactive().map(str::to_owned).collect()
     }
     #[getter]
     fn source_hash(&self, py: Python<'_>) -> String {
@@ -96,6 +100,7 @@ impl PyFrame {
         dict.set_item("geometry_passes", stats.geometry_passes)?;
         dict.set_item("bytes_per_pixel", stats.bytes_per_pixel)?;
         dict.set_item("dropped", stats.dropped)?;
+        dict.set_item("invalid_weights", stats.invalid_weights)?;
         let skipped = PyDict::new(py);
         for (what, count) in &stats.skipped {
             skipped.set_item(what, count)?;

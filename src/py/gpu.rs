@@ -1,13 +1,13 @@
 //! The GPU backend.
 
-use super::convert::inputs;
+use super::custom::Named;
 use super::fragments::PyFragments;
 use super::frame::PyFrame;
 #[cfg(feature = "gpu")]
 use super::run::interruptible;
-use super::run::{AnySource, options};
+use super::function::Failures;
+use super::run::{AnySource, options, requests};
 use super::scene::PyScene;
-use crate::render::Request;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 #[cfg(feature = "gpu")]
@@ -25,18 +25,18 @@ fn none_here<T>() -> PyResult<T> {
 pub fn render_gpu<'py>(
     py: Python<'py>,
     source: &Bound<'py, PyAny>,
-    variants: Vec<(String, Bound<'py, PyDict>)>,
+    variants: Vec<(Named<'py>, Bound<'py, PyDict>)>,
     threads: Option<i64>,
     skip: bool,
 ) -> PyResult<Vec<PyFrame>> {
     let source = AnySource::extract(source)?;
-    let requests: Vec<Request> =
-        variants.into_iter().map(|(id, params)| Ok((id, inputs(&params)?))).collect::<PyResult<_>>()?;
+    let failures = Failures::default();
+    let requests = requests(variants, &failures)?;
     let options = options(threads, skip)?;
     #[cfg(feature = "gpu")]
     {
         let shared = source.share();
-        let frames = interruptible(py, move |stop| {
+        let frames = interruptible(py, &failures, move |stop| {
             crate::render::render_on_gpu(shared.as_source(), &requests, &options, stop)
         })?;
         Ok(frames.into_iter().map(|frame| PyFrame::new(frame, source.share())).collect())
@@ -54,7 +54,8 @@ pub fn capture_gpu(py: Python<'_>, scene: &Bound<'_, PyScene>) -> PyResult<PyFra
     #[cfg(feature = "gpu")]
     {
         let (scene, options) = (Arc::clone(&scene.get().0), options(None, true)?);
-        let fragments = interruptible(py, move |stop| crate::render::capture_on_gpu(&scene, &options, stop))?;
+        let work = move |stop: &(dyn Fn() -> bool + Sync)| crate::render::capture_on_gpu(&scene, &options, stop);
+        let fragments = interruptible(py, &Failures::default(), work)?;
         Ok(PyFragments(Arc::new(fragments)))
     }
     #[cfg(not(feature = "gpu"))]
@@ -69,7 +70,7 @@ pub fn capture_gpu(py: Python<'_>, scene: &Bound<'_, PyScene>) -> PyResult<PyFra
 pub fn gpu_info(py: Python<'_>) -> PyResult<Bound<'_, PyDict>> {
     #[cfg(feature = "gpu")]
     {
-        let info = interruptible(py, |_| crate::gpu::info())?;
+        let info = interruptible(py, &Failures::default(), |_| crate::gpu::info())?;
         let dict = PyDict::new(py);
         for (name, text) in info.texts {
             dict.set_item(name, text)?;

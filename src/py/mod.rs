@@ -3,11 +3,14 @@
 
 mod arrays;
 mod convert;
+mod custom;
 mod fragments;
 mod frame;
+mod function;
 mod gpu;
 mod run;
 mod scene;
+mod visit;
 
 use pyo3::prelude::*;
 
@@ -16,6 +19,8 @@ use pyo3::prelude::*;
 mod extension {
     use pyo3::prelude::*;
 
+    #[pymodule_export]
+    use super::custom::PyTechnique;
     #[pymodule_export]
     use super::fragments::PyFragments;
     #[pymodule_export]
@@ -26,6 +31,8 @@ mod extension {
     use super::run::{capture, cost, diagnose, order_sensitivity, render, techniques, transmittance};
     #[pymodule_export]
     use super::scene::{PyCamera, PyMesh, PyScene};
+    #[pymodule_export]
+    use super::visit::settle;
 
     #[pymodule_init]
     fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
@@ -41,6 +48,10 @@ impl From<crate::Error> for PyErr {
         match error {
             crate::Error::Cancelled => pyo3::exceptions::PyKeyboardInterrupt::new_err(error.to_string()),
             crate::Error::Gpu(_) => pyo3::exceptions::PyRuntimeError::new_err(error.to_string()),
+            crate::Error::Raised(raised) => raised.0.downcast_ref::<Self>().map_or_else(
+                || pyo3::exceptions::PyRuntimeError::new_err(raised.to_string()),
+                |error| Python::attach(|py| error.clone_ref(py)),
+            ),
             crate::Error::Memory(_) => pyo3::exceptions::PyMemoryError::new_err(error.to_string()),
             error => pyo3::exceptions::PyValueError::new_err(error.to_string()),
         }

@@ -2,9 +2,12 @@
 
 use super::arrays::contiguous;
 use super::convert::{info, inputs};
+use super::custom::Named;
 use super::fragments::PyFragments;
 use super::frame::PyFrame;
+use super::function::Failures;
 use super::scene::PyScene;
+use super::visit::refuse_within_call;
 use crate::Result;
 use crate::fragments::Fragments;
 use crate::render as core;
@@ -63,7 +66,9 @@ impl AnySource {
     /// Depth of the first fragment and number of fragments, per pixel.
     pub fn depth_images(&self, py: Python<'_>) -> PyResult<core::DepthImages> {
         let shared = self.share();
-        interruptible(py, move |stop| core::depth_images(shared.as_source(), &Options::default(), stop))
+        interruptible(py, &Failures::default(), move |stop| {
+            core::depth_images(shared.as_source(), &Options::default(), stop)
+        })
     }
     /// The content hash in hexadecimal.
     pub fn content_hash(&self) -> String {
@@ -80,20 +85,25 @@ impl AnySource {
 const SIGNAL_INTERVAL: Duration = Duration::from_millis(20);
 
 /// Runs `work` on another thread, detached from the interpreter. On a signal such as Ctrl-C it is told to stop
-/// and left to wind down by itself, so that the interpreter has control again at once.
+/// and left to wind down by itself, so that the interpreter has control again at once. It is also told to stop when a
+/// function of the user's own has raised something, which is raised again here.
 pub fn interruptible<T: Send + 'static>(
     py: Python<'_>,
+    failures: &Failures,
     work: impl FnOnce(&(dyn Fn() -> bool + Sync)) -> Result<T> + Send + 'static,
 ) -> PyResult<T> {
+    refuse_within_call()?;
     let stop = Arc::new(AtomicBool::new(false));
     let stopped = Arc::clone(&stop);
+    let failed = failures.clone();
     let (sender, receiver) = channel();
     std::thread::spawn(move || {
-        let result = catch_unwind(AssertUnwindSafe(|| work(&|| stopped.load(Ordering::Relaxed))));
+        let stop = || stopped.load(Ordering::Relaxed) || failed.happened();
+        let result = catch_unwind(AssertUnwindSafe(|| work(&stop)));
         // nobody listens any more after a signal
         _ = sender.send(result);
     });
-    py.detach(move || {
+    let result = py.detach(move || {
         loop {
             match receiver.recv_timeout(SIGNAL_INTERVAL) {
                 Ok(Ok(result)) => return result.map_err(PyErr::from),
@@ -113,7 +123,14 @@ pub fn interruptible<T: Send + 'static>(
                 }
             }
         }
-    })
+    });
+    failures.raise()?;
+    result
+}
+
+/// Variants as the core takes them.
+pub fn requests(variants: Vec<(Named<'_>, Bound<'_, PyDict>)>, failures: &Failures) -> PyResult<Vec<Request>> {
+    variants.into_iter().map(|(named, params)| named.request(&params, failures)).collect()
 }
 
 pub fn options(threads: Option<i64>, skip: bool) -> Result<Options> {
@@ -129,17 +146,17 @@ pub fn options(threads: Option<i64>, skip: bool) -> Result<Options> {
 pub fn render<'py>(
     py: Python<'py>,
     source: &Bound<'py, PyAny>,
-    variants: Vec<(String, Bound<'py, PyDict>)>,
+    variants: Vec<(Named<'py>, Bound<'py, PyDict>)>,
     threads: Option<i64>,
     skip: bool,
     float64: bool,
 ) -> PyResult<Vec<PyFrame>> {
     let source = AnySource::extract(source)?;
-    let requests: Vec<Request> =
-        variants.into_iter().map(|(id, params)| Ok((id, inputs(&params)?))).collect::<PyResult<_>>()?;
+    let failures = Failures::default();
+    let requests = requests(variants, &failures)?;
     let options = options(threads, skip)?;
     let shared = source.share();
-    let frames = interruptible(py, move |stop| {
+    let frames = interruptible(py, &failures, move |stop| {
         let run = if float64 { core::render::<f64> } else { core::render::<f32> };
         run(shared.as_source(), &requests, &options, stop)
     })?;
@@ -151,15 +168,17 @@ pub fn render<'py>(
 pub fn diagnose<'py>(
     py: Python<'py>,
     source: &Bound<'py, PyAny>,
-    variants: Vec<(String, Bound<'py, PyDict>)>,
+    variants: Vec<(Named<'py>, Bound<'py, PyDict>)>,
     threads: Option<i64>,
 ) -> PyResult<Vec<Bound<'py, PyDict>>> {
     let source = AnySource::extract(source)?;
-    let requests: Vec<Request> =
-        variants.into_iter().map(|(id, params)| Ok((id, inputs(&params)?))).collect::<PyResult<_>>()?;
+    let failures = Failures::default();
+    let requests = requests(variants, &failures)?;
     let options = options(threads, true)?;
     let shape = source.shape();
-    let found = interruptible(py, move |stop| core::diagnose(source.as_source(), &requests, &options, stop))?;
+    let work =
+        move |stop: &(dyn Fn() -> bool + Sync)| core::diagnose(source.as_source(), &requests, &options, stop);
+    let found = interruptible(py, &failures, work)?;
     let dict = |diagnostics: core::Diagnostics| {
         let dict = PyDict::new(py);
         for (fault, amounts) in diagnostics.images {
@@ -182,7 +201,8 @@ pub fn diagnose<'py>(
 pub fn capture(py: Python<'_>, scene: &Bound<'_, PyScene>, threads: Option<i64>) -> PyResult<PyFragments> {
     let options = options(threads, true)?;
     let scene = Arc::clone(&scene.get().0);
-    let fragments = interruptible(py, move |stop| core::capture(&scene, &options, stop))?;
+    let fragments =
+        interruptible(py, &Failures::default(), move |stop| core::capture(&scene, &options, stop))?;
     Ok(PyFragments(Arc::new(fragments)))
 }
 
@@ -191,12 +211,14 @@ pub fn capture(py: Python<'_>, scene: &Bound<'_, PyScene>, threads: Option<i64>)
 pub fn transmittance<'py>(
     py: Python<'py>,
     fragments: &Bound<'py, PyFragments>,
-    technique: String,
+    technique: Named<'py>,
     params: &Bound<'py, PyDict>,
     pixel: (i64, i64),
     depths: PyReadonlyArray1<'py, f32>,
 ) -> PyResult<[Bound<'py, PyArray1<f64>>; 2]> {
-    let request = (technique, inputs(params)?);
+    let failures = Failures::default();
+    let request = technique.request(params, &failures)?;
+    refuse_within_call()?;
     let fragments = &fragments.get().0;
     let outside = |_| {
         let problem = format!("{pixel:?} is not in the image of {} x {}", fragments.width, fragments.height);
@@ -204,7 +226,10 @@ pub fn transmittance<'py>(
     };
     let x = u32::try_from(pixel.0).map_err(outside)?;
     let y = u32::try_from(pixel.1).map_err(outside)?;
-    let found = core::transmittance(fragments, &request, (x, y), contiguous("depths", &depths)?)?;
+    let depths = contiguous("depths", &depths)?.to_vec();
+    let found = py.detach(|| core::transmittance(fragments, &request, (x, y), &depths));
+    failures.raise()?;
+    let found = found?;
     Ok([PyArray1::from_vec(py, found.exact), PyArray1::from_vec(py, found.reconstructed)])
 }
 
@@ -213,18 +238,19 @@ pub fn transmittance<'py>(
 pub fn order_sensitivity<'py>(
     py: Python<'py>,
     fragments: &Bound<'py, PyFragments>,
-    technique: String,
+    technique: Named<'py>,
     params: &Bound<'py, PyDict>,
     n: i64,
     seed: u64,
     threads: Option<i64>,
 ) -> PyResult<Bound<'py, PyAny>> {
-    let request = (technique, inputs(params)?);
+    let failures = Failures::default();
+    let request = technique.request(params, &failures)?;
     let options = options(threads, true)?;
     let fragments = Arc::clone(&fragments.get().0);
     let shape = [fragments.height as usize, fragments.width as usize];
     let shuffles = usize::try_from(n).unwrap_or(0);
-    let variance = interruptible(py, move |stop| {
+    let variance = interruptible(py, &failures, move |stop| {
         core::order_sensitivity(&fragments, &request, shuffles, seed, &options, stop)
     })?;
     Ok(PyArray1::from_vec(py, variance).reshape(shape)?.into_any())
@@ -239,7 +265,7 @@ pub fn cost(
     depth_complexity_max: usize,
 ) -> PyResult<(f64, f64)> {
     let complexity = DepthComplexity { mean: depth_complexity_mean, max: depth_complexity_max };
-    let cost = core::cost(&(technique, inputs(params)?), &complexity)?;
+    let cost = core::cost(&(technique, inputs(params, &Failures::default())?).into(), &complexity)?;
     Ok((cost.geometry_passes, cost.bytes_per_pixel))
 }
 

@@ -1,9 +1,6 @@
 //! What went wrong with each pixel's numbers: everything is computed once more, for those who want to know.
 
-use super::{
-    Options, PIECE_PIXELS, Request, Source, backgrounds, bind, capture, check_request, piece, run_ends,
-    with_threads,
-};
+use super::{Options, PIECE_PIXELS, Request, Source, backgrounds, capture, piece, run_ends, with_threads};
 use crate::diagnosis::{Diagnosis, Fault, Faults};
 use crate::error::{Error, Result};
 use crate::fragments::Fragments;
@@ -61,10 +58,7 @@ impl<'a> Job<'a> {
         requests: &[Request],
         stop: &'a (dyn Fn() -> bool + Sync),
     ) -> Result<Self> {
-        let bound = requests.iter().map(|request| {
-            let (info, checked) = check_request(request)?;
-            bind(info, &checked, view)
-        });
+        let bound = requests.iter().map(|request| request.check()?.bind(view));
         let variants = bound.collect::<Result<Vec<_>>>()?;
         let by_centroid = variants.iter().any(|v| v.order == SubmissionOrder::Centroid);
         let centroids = by_centroid.then(|| match source {

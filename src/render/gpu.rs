@@ -1,17 +1,18 @@
 //! Rendering on the GPU: the CPU sets scenes up and draws their opaque surfaces, the device does the rest.
 
-use super::{Options, Request, Source, bind, check_request, with_threads};
+use super::request::Asked;
+use super::{Options, Request, Source, with_threads};
 use crate::error::{Error, Result};
 use crate::fragments::{Background, Fragment, Fragments, Lists};
 use crate::frame::{Frame, Image, Sample, Stats};
 use crate::gpu::form::{Form, Path};
 use crate::gpu::{Captured, Key, Opaque, Shared, View, with_gpu};
 use crate::order::{CentroidOrder, SubmissionOrder};
-use crate::params::{self, Checked, Params};
+use crate::params::{self, Params};
 use crate::raster::{self, Raster, Tile};
 use crate::resolve::Variant;
 use crate::scene::Scene;
-use crate::technique::{DepthComplexity, Info};
+use crate::technique::DepthComplexity;
 use rayon::prelude::*;
 use std::sync::Arc;
 use std::time::Instant;
@@ -39,13 +40,13 @@ pub fn render_on_gpu(
     options: &Options,
     stop: &(dyn Fn() -> bool + Sync),
 ) -> Result<Vec<Frame>> {
-    let checked = requests.iter().map(check_request).collect::<Result<Vec<_>>>()?;
+    let asked = requests.iter().map(Request::check).collect::<Result<Vec<_>>>()?;
     let Source::Scene(scene) = source else {
         return Err(Error::argument("backend", "\"gpu\" takes scenes; fragments are rendered on \"cpu\""));
     };
     let provisional = raster::provisional_view(scene);
-    checked.iter().try_for_each(|(info, checked)| bound(info, checked, &provisional).map(drop))?;
-    if checked.is_empty() {
+    asked.iter().try_for_each(|asked| bound(asked, &provisional).map(drop))?;
+    if asked.is_empty() {
         return Ok(Vec::new());
     }
     let start = Instant::now();
@@ -55,12 +56,9 @@ pub fn render_on_gpu(
             let range = job.range()?;
             let mut answers: Vec<(Bound, Answer)> = Vec::new();
             let mut frames = Vec::new();
-            for (info, checked) in &checked {
-                let bound = bound(info, checked, &range)?;
-                let same = |(other, _): &(Bound, Answer)| {
-                    other.variant.info.id == info.id
-                        && other.variant.params.identity() == bound.variant.params.identity()
-                };
+            for asked in &asked {
+                let bound = bound(asked, &range)?;
+                let same = |(other, _): &(Bound, Answer)| other.variant.is_same(&bound.variant);
                 let known = if options.skip { answers.iter().position(same) } else { None };
                 let params = bound.variant.params.clone();
                 let place = if let Some(place) = known {
@@ -131,14 +129,15 @@ fn has_opaque(scene: &Scene) -> bool {
     scene.meshes().iter().any(|mesh| !mesh.material().is_transparent())
 }
 
-fn bound(info: &'static Info, checked: &Checked, view: &params::View) -> Result<Bound> {
-    let Some(make) = info.gpu else {
-        return Err(Error::argument(
-            "backend",
-            format!("{:?} has no GPU form yet; its backends: cpu", info.id),
-        ));
+fn bound(asked: &Asked, view: &params::View) -> Result<Bound> {
+    let (id, make) = match asked {
+        Asked::Registered(info, _) => (info.id, info.gpu),
+        Asked::Custom(custom) => (custom.id, None),
     };
-    let variant = bind(info, checked, view)?;
+    let Some(make) = make else {
+        return Err(Error::argument("backend", format!("{id:?} has no GPU form; its backends: cpu")));
+    };
+    let variant = asked.bind(view)?;
     let form = make(&variant.params, view)?;
     let order = match &form.path {
         // they are sorted afterwards
@@ -289,7 +288,7 @@ impl Answer {
         let max = usize::try_from(self.deepest).unwrap_or(usize::MAX);
         let cost = variant.technique.cost(&DepthComplexity { mean, max });
         Frame {
-            technique: variant.info.id,
+            technique: variant.id,
             params,
             width: scene.width(),
             height: scene.height(),
@@ -306,6 +305,7 @@ impl Answer {
                 geometry_passes: cost.geometry_passes,
                 bytes_per_pixel: cost.bytes_per_pixel,
                 dropped: 0,
+                invalid_weights: 0,
                 skipped: vec![("duplicate_variants", u64::from(duplicate))],
                 backend: "gpu",
                 threads,

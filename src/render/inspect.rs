@@ -1,8 +1,7 @@
 //! Looking inside a technique: its transmittance function at a pixel, and how much it depends on order.
 
-use super::{
-    Options, PIECE_PIXELS, Request, backgrounds, bind, check_request, piece, run_ends, with_threads,
-};
+use super::request::Asked;
+use super::{Options, PIECE_PIXELS, Request, backgrounds, piece, run_ends, with_threads};
 use crate::error::{Error, Result};
 use crate::fragments::Fragments;
 use crate::order::SubmissionOrder;
@@ -31,8 +30,7 @@ pub fn transmittance(
     (x, y): (u32, u32),
     depths: &[f32],
 ) -> Result<Transmittance> {
-    let (info, checked) = check_request(request)?;
-    let variant = bind(info, &checked, &fragments.view)?;
+    let variant = request.check()?.bind(&fragments.view)?;
     if x >= fragments.width || y >= fragments.height {
         let problem = format!("({x}, {y}) is not in the image of {} x {}", fragments.width, fragments.height);
         return Err(Error::argument("pixel", problem));
@@ -61,8 +59,8 @@ pub fn transmittance(
         background: &background,
     };
     let centroids = (variant.order == SubmissionOrder::Centroid).then(|| fragments.centroid_order());
-    let reconstructed = Resolver::default().transmittance(&variant, centroids.as_ref(), &batch, depths);
-    let none = || Error::argument("technique", format!("{} has no transmittance function", info.id));
+    let reconstructed = Resolver::default().transmittance(&variant, centroids.as_ref(), &batch, depths)?;
+    let none = || Error::argument("technique", format!("{} has no transmittance function", variant.id));
     Ok(Transmittance { exact, reconstructed: reconstructed.ok_or_else(none)? })
 }
 
@@ -77,8 +75,7 @@ pub fn cost(request: &Request, complexity: &DepthComplexity) -> Result<Cost> {
         let problem = format!("{mean} is not a number from 0 to depth_complexity_max = {max}");
         return Err(Error::argument("depth_complexity_mean", problem));
     }
-    let (info, checked) = check_request(request)?;
-    Ok(bind(info, &checked, &View::ORDINARY)?.technique.cost(complexity))
+    Ok(request.check()?.bind(&View::ORDINARY)?.technique.cost(complexity))
 }
 
 /// The variance of every pixel over `shuffles` random submission orders, the mean of its three channels'
@@ -95,11 +92,15 @@ pub fn order_sensitivity(
     options: &Options,
     stop: &(dyn Fn() -> bool + Sync),
 ) -> Result<Vec<f64>> {
-    let (info, checked) = check_request(request)?;
-    if request.1.iter().any(|(name, _)| name == "submission_order") {
+    let asked = request.check()?;
+    if let Request::Registered(_, params) = request
+        && params.iter().any(|(name, _)| name == "submission_order")
+    {
         return Err(Error::argument("params", "submission_order is what order_sensitivity varies"));
     }
-    if !info.submission_orders.contains(&"shuffled") {
+    if let Asked::Registered(info, _) = asked
+        && !info.submission_orders.contains(&"shuffled")
+    {
         return Err(Error::argument("technique", format!("{} has an order of its own", info.id)));
     }
     if !(2..=4096).contains(&shuffles) {
@@ -108,31 +109,42 @@ pub fn order_sensitivity(
     let mut variants = Vec::with_capacity(shuffles);
     for shuffle in 0..shuffles as u64 {
         let order = SubmissionOrder::Shuffled { seed: seed.wrapping_add(shuffle) };
-        variants.push(Variant { order, ..bind(info, &checked, &fragments.view)? });
+        variants.push(Variant { order, ..asked.bind(&fragments.view)? });
     }
     let selected: Vec<_> = (0..shuffles).collect();
     let context =
         Context { variants: &variants, selected: &selected, centroids: None, shortcuts: options.skip, stop };
     with_threads(options.threads, |_| {
         let budget = options.max_fragments / shuffles;
-        let ends = run_ends(fragments, PIECE_PIXELS / 16, budget.max(1));
+        let pixels = if variants[0].technique.wants_large_batches() {
+            // as many as a call is worth while, but no more memory than with so many shuffles and small batches
+            (PIECE_PIXELS * 16 / shuffles).clamp(PIECE_PIXELS / 16, PIECE_PIXELS)
+        } else {
+            PIECE_PIXELS / 16
+        };
+        let ends = run_ends(fragments, pixels, budget.max(1));
         let starts = std::iter::once(0).chain(ends.iter().copied());
         let pieces: Vec<_> = starts.zip(ends.iter().copied()).collect();
         let variances: Vec<Vec<f64>> = pieces
             .into_par_iter()
             .map(|(first, last)| piece_variance(fragments, &context, first, last))
-            .collect();
+            .collect::<Result<_>>()?;
         if stop() { Err(Error::Cancelled) } else { Ok(variances.concat()) }
     })
 }
 
-fn piece_variance(fragments: &Fragments, context: &Context<'_>, first: usize, last: usize) -> Vec<f64> {
+fn piece_variance(
+    fragments: &Fragments,
+    context: &Context<'_>,
+    first: usize,
+    last: usize,
+) -> Result<Vec<f64>> {
     let background = backgrounds(fragments, first..last);
     let batch = piece(fragments, first..last, &background);
     let mut resolved = vec![Vec::new(); context.variants.len()];
     let mut tallies = vec![VariantTally::default(); context.variants.len()];
-    Resolver::default().run(context, &batch, 0, &mut resolved, &mut tallies);
-    (0..last - first).map(|i| variance(resolved.iter().map(|image| image[i]))).collect()
+    Resolver::default().run(context, &batch, 0, &mut resolved, &mut tallies)?;
+    Ok((0..last - first).map(|i| variance(resolved.iter().map(|image| image[i]))).collect())
 }
 
 #[expect(clippy::cast_precision_loss, reason = "at most 4096 images")]

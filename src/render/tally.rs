@@ -53,6 +53,7 @@ impl Tally {
         for (mine, theirs) in self.variants.iter_mut().zip(&other.variants) {
             mine.nanos += theirs.nanos;
             mine.dropped += theirs.dropped;
+            mine.invalid_weights += theirs.invalid_weights;
             mine.single_fragment_pixels += theirs.single_fragment_pixels;
             mine.hidden_fragments += theirs.hidden_fragments;
         }

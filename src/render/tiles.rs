@@ -4,10 +4,11 @@
 use super::image::{BackgroundRow, Patch};
 use super::tally::Tally;
 use super::{Job, part_end};
+use crate::error::Result;
 use crate::fragments::Lists;
 use crate::frame::Sample;
 use crate::raster::{Cover, Order, Raster, Rect, Sink, Tile, TileLists};
-use crate::resolve::{Resolver, Variant, nanos_since};
+use crate::resolve::{Resolver, nanos_since};
 use crate::stream::{TileBlend, TileOver, TileSums, over_lists};
 use crate::technique::{Batch, Finished, Resolved, Streamed};
 use std::ops::Range;
@@ -28,6 +29,8 @@ pub(super) struct Worker<'r, 'v> {
     over: TileOver,
     arrived: Lists,
     sorted: Lists,
+    /// The same two of a whole tile.
+    whole: [Lists; 2],
     resolver: Resolver,
     resolved: Vec<Vec<Resolved>>,
     /// Pixels on their way into the image.
@@ -49,6 +52,7 @@ impl<'v> Worker<'_, 'v> {
             over: TileOver::default(),
             arrived: Lists::new(),
             sorted: Lists::new(),
+            whole: [Lists::new(), Lists::new()],
             resolver: Resolver::default(),
             resolved: vec![Vec::new(); job.variants.len()],
             pixels: Vec::new(),
@@ -92,7 +96,7 @@ impl Job<'_> {
         nothing: &BackgroundRow<S>,
         patch: &mut Patch<'_, S>,
         worker: &mut Worker<'r, '_>,
-    ) -> Tally {
+    ) -> Result<Tally> {
         let mut tally = Tally::new(self.variants.len());
         let rect = patch.rect();
         if self.options.skip && raster.is_empty_tile(tile.0, tile.1) {
@@ -100,9 +104,9 @@ impl Job<'_> {
             tally.empty_pixels = rect.area() as u64;
             patch.clear(nothing);
         } else {
-            self.part(raster, tile, rect, worker, patch, &mut tally);
+            self.part(raster, tile, rect, worker, patch, &mut tally)?;
         }
-        tally
+        Ok(tally)
     }
 
     /// A part of a tile: as it is or, if it is too deep for the budget, in halves.
@@ -114,13 +118,13 @@ impl Job<'_> {
         worker: &mut Worker<'r, '_>,
         patch: &mut Patch<'_, S>,
         tally: &mut Tally,
-    ) {
+    ) -> Result<()> {
         let start = Instant::now();
         match self.draw(raster, tile, rect, worker, tally) {
             Drawn::Stopped => {}
             Drawn::TooDeep => {
                 for half in rect.halves() {
-                    self.part(raster, tile, half, worker, patch, tally);
+                    self.part(raster, tile, half, worker, patch, tally)?;
                 }
             }
             Drawn::Done { lists, over } => {
@@ -132,9 +136,10 @@ impl Job<'_> {
                 if lists && !self.plan.overs.is_empty() {
                     self.finish_over(&rect, worker, patch, tally);
                 }
-                self.resolve_lists(&rect, worker, patch, tally);
+                self.resolve_lists(&rect, worker, patch, tally)?;
             }
         }
+        Ok(())
     }
 
     /// Rasterises a part of a tile, once for each order that is wanted.
@@ -227,6 +232,7 @@ impl Job<'_> {
         let background = tile.background();
         for (i, &v) in plan.sums.iter().enumerate() {
             store(v, rect, patch, tally, pixels, |range, out| sums.finish(i, range, background, out));
+            tally.variants[v].invalid_weights += sums.invalid(i);
         }
         plan.sums.iter().zip(sums.nanos()).for_each(|(&v, nanos)| tally.streamed(v, nanos));
         for (variants, target) in [(&plan.blends, blend), (&plan.painters, painter)] {
@@ -268,34 +274,23 @@ impl Job<'_> {
         }
     }
 
-    /// Resolves the tile's lists in batches that fit the cache.
+    /// Resolves the tile's lists in batches that fit the cache, and all at once where a variant wants that.
     fn resolve_lists<S: Sample>(
         &self,
         rect: &Rect,
         worker: &mut Worker<'_, '_>,
         patch: &mut Patch<'_, S>,
         tally: &mut Tally,
-    ) {
+    ) -> Result<()> {
         if self.plan.listed.is_empty() {
-            return;
+            return Ok(());
         }
-        let Worker { tile, lists, arrived, sorted, resolver, resolved, .. } = worker;
-        let listed = &self.from_lists;
-        let of_listed = |wants: fn(&Variant) -> bool| listed.iter().any(|&v| wants(&self.variants[v]));
-        let wants_arrival = of_listed(|variant| !variant.takes_sorted_alone());
-        let wants_sorted = of_listed(|variant| variant.wants_sorted() || variant.takes_sorted_alone());
-        let mut first = 0;
-        while first < rect.area() {
-            let last = batch_end(first, lists.counts());
-            if wants_arrival {
-                lists.shade(first, last, arrived);
-            }
-            let start = Instant::now();
-            if wants_sorted {
-                lists.sort(first, last);
-                lists.shade(first, last, sorted);
-            }
-            let sort_nanos = nanos_since(start);
+        let Worker { tile, lists, arrived, sorted, whole, resolver, resolved, .. } = worker;
+        let colors = tile.background().colors();
+        let listed = || self.from_lists.iter().chain(&self.from_tiles).map(|&v| &self.variants[v]);
+        let wants_arrival = listed().any(|variant| !variant.takes_sorted_alone());
+        let wants_sorted = listed().any(|variant| variant.wants_sorted() || variant.takes_sorted_alone());
+        let mut resolve = |variants: &[usize], [arrived, sorted]: [&Lists; 2], first, last, sort_nanos| {
             #[expect(
                 clippy::cast_sign_loss,
                 clippy::cast_possible_truncation,
@@ -308,14 +303,40 @@ impl Job<'_> {
                 first: first as u32,
                 lists: if wants_arrival { arrived.as_ref() } else { sorted.as_ref() },
                 sorted: wants_sorted.then(|| sorted.as_ref()),
-                background: &tile.background().colors()[first..last],
+                background: &colors[first..last],
             };
-            resolver.run(&self.context(listed), &batch, sort_nanos, resolved, &mut tally.variants);
-            for &v in listed {
+            resolver.run(&self.context(variants), &batch, sort_nanos, resolved, &mut tally.variants)?;
+            for &v in variants {
                 patch.store(v, rect, first, &resolved[v]);
+            }
+            Ok(())
+        };
+        whole.iter_mut().for_each(Lists::clear);
+        let (mut first, mut all_sort_nanos) = (0, 0);
+        while first < rect.area() {
+            let last = batch_end(first, lists.counts());
+            if wants_arrival {
+                lists.shade(first, last, arrived);
+            }
+            let start = Instant::now();
+            if wants_sorted {
+                lists.sort(first, last);
+                lists.shade(first, last, sorted);
+            }
+            let sort_nanos = nanos_since(start);
+            if !self.from_lists.is_empty() {
+                resolve(&self.from_lists, [arrived, sorted], first, last, sort_nanos)?;
+            }
+            if !self.from_tiles.is_empty() {
+                all_sort_nanos += sort_nanos;
+                whole.iter_mut().zip([&*arrived, &*sorted]).for_each(|(all, part)| all.append(part));
             }
             first = last;
         }
+        if !self.from_tiles.is_empty() {
+            resolve(&self.from_tiles, [&whole[0], &whole[1]], 0, rect.area(), all_sort_nanos)?;
+        }
+        Ok(())
     }
 }
 

@@ -5,6 +5,7 @@
 //!
 //! [`BlendSums::add`]: crate::continuum::sums::BlendSums::add
 
+mod deferred;
 mod kernels;
 mod pending;
 
@@ -14,6 +15,7 @@ use crate::raster::{Cover, Opaque, Premultiplied, Rect, Sink};
 use crate::resolve::nanos_since;
 use crate::technique::Finished;
 use crate::weight::Weighting;
+use deferred::Deferred;
 use kernels::{add_constant, add_few, add_flat, add_shaded, attenuate};
 use pending::Pending;
 use std::ops::Range;
@@ -27,6 +29,8 @@ pub struct TileSums<'a> {
     weights: Vec<Weight<'a>>,
     sums: Sums,
     pending: Pending,
+    /// What waits for weights of somebody's own.
+    deferred: Deferred,
     /// Pixels per row.
     columns: usize,
     /// The colours of the primitive at hand, if it has several.
@@ -41,7 +45,15 @@ pub struct TileSums<'a> {
 struct Weight<'a> {
     /// All count the same where there is none.
     weighting: Option<&'a Weighting>,
+    /// Results of a weight of somebody's own that were none, since the tile was begun.
+    invalid: u64,
     stopwatch: Stopwatch,
+}
+
+impl Weight<'_> {
+    fn is_own(&self) -> bool {
+        self.weighting.is_some_and(Weighting::is_own)
+    }
 }
 
 /// The running sums of a tile's pixels.
@@ -70,12 +82,14 @@ impl<'a> TileSums<'a> {
             };
             let place = all.weights.iter().position(same).unwrap_or(all.weights.len());
             if place == all.weights.len() {
-                all.weights.push(Weight { weighting, stopwatch: Stopwatch::default() });
+                all.weights.push(Weight { weighting, invalid: 0, stopwatch: Stopwatch::default() });
                 all.sums.weighted.push(Vec::new());
             }
             all.variants.push((technique, place));
         }
         all.pending = Pending::with_weights(all.weights.len());
+        let own = all.weights.iter().filter(|weight| weight.is_own()).filter_map(|weight| weight.weighting);
+        all.deferred = Deferred::of(own.map(Weighting::chunk).max());
         all
     }
 
@@ -83,6 +97,8 @@ impl<'a> TileSums<'a> {
     pub fn begin(&mut self, rect: Rect) {
         let Sums { weighted, transmittance, coverage, counts, faint } = &mut self.sums;
         self.pending.clear();
+        self.deferred.clear();
+        self.weights.iter_mut().for_each(|weight| weight.invalid = 0);
         self.columns = rect.width();
         reset(transmittance, rect.area(), 1.0);
         if *faint || coverage.len() != rect.area() {
@@ -95,13 +111,29 @@ impl<'a> TileSums<'a> {
 
     /// Has to come after the last primitive: some may not have been blended yet.
     pub fn flush(&mut self) {
+        self.flush_deferred();
+        self.flush_pending();
+    }
+
+    fn flush_pending(&mut self) {
         if !self.pending.is_empty() {
             let start = Instant::now();
-            self.pending.blend(self.columns, &mut self.sums);
+            self.pending.blend(self.columns, &mut self.weights, &mut self.sums, &mut self.weight);
             // alone, each weight would have to do about as much
             let share = nanos_since(start) / self.weights.len() as u64;
             self.weights.iter_mut().for_each(|weight| weight.stopwatch.add(share));
         }
+    }
+
+    fn flush_deferred(&mut self) {
+        if !self.deferred.is_empty() {
+            self.deferred.blend(&mut self.weights, &mut self.sums.weighted, &mut self.weight);
+        }
+    }
+
+    /// Results of the weight of variant `v` that were no weights, in this tile.
+    pub fn invalid(&self, v: usize) -> u64 {
+        self.weights[self.variants[v].1].invalid
     }
 
     /// Fragments per pixel.
@@ -137,9 +169,12 @@ impl<'r> Sink<'r> for TileSums<'_> {
         match flat_color(cover) {
             Some(color) if !cover.is_small() && self.is_constant(cover) => self.keep(cover, color),
             flat => {
-                self.flush();
+                self.flush_pending();
                 let fused = self.take_few(cover);
                 self.blend(cover, flat, fused);
+                if self.deferred.is_wanted() {
+                    self.defer(cover, flat);
+                }
             }
         }
         true
@@ -154,13 +189,21 @@ impl TileSums<'_> {
 
     /// Keeps a primitive that is the same everywhere for later.
     fn keep(&mut self, cover: &Cover<'_, '_>, color: Premultiplied) {
-        let Self { weights, pending, weight: numbers, .. } = self;
-        let added = weights
-            .iter()
-            .map(|weight| constant_term(weight.weighting, cover.constant_depth, color, numbers));
-        pending.push(cover.runs, color[3].into(), added);
-        if pending.is_full() {
-            self.flush();
+        self.flush_deferred();
+        self.pending.push(cover, color);
+        if self.pending.is_full() {
+            self.flush_pending();
+        }
+    }
+
+    /// Keeps a primitive for weights of somebody's own.
+    fn defer(&mut self, cover: &Cover<'_, '_>, flat: Option<Premultiplied>) {
+        match flat {
+            Some(color) => self.deferred.push_flat(cover, color),
+            None => self.deferred.push_shaded(cover, &self.colors),
+        }
+        if self.deferred.is_full() {
+            self.flush_deferred();
         }
     }
 
@@ -172,9 +215,12 @@ impl TileSums<'_> {
         let (Some(color), None, true) = (flat_color(cover), cover.constant_depth, cover.is_small()) else {
             return false;
         };
-        let Some(Weight { weighting: Some(weighting), stopwatch }) = self.weights.first_mut() else {
+        let Some(Weight { weighting: Some(weighting), stopwatch, .. }) = self.weights.first_mut() else {
             return false;
         };
+        if weighting.is_own() {
+            return false;
+        }
         let Sums { weighted, transmittance, counts, .. } = &mut self.sums;
         let sums = &mut weighted[0];
         let start = stopwatch.start();
@@ -206,7 +252,7 @@ impl TileSums<'_> {
         }
         let Self { weights, sums, colors, alpha, weight: numbers, depth, .. } = self;
         let left = weights.iter_mut().zip(&mut sums.weighted).skip(usize::from(fused));
-        for (Weight { weighting, stopwatch }, sums) in left {
+        for (Weight { weighting, stopwatch, .. }, sums) in left.filter(|(weight, _)| !weight.is_own()) {
             let start = stopwatch.start();
             match (flat, *weighting, cover.constant_depth) {
                 (Some(color), Some(weighting), None) => {

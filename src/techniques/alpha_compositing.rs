@@ -189,7 +189,7 @@ impl Technique for Framebuffer {
             transmittance *= 1.0 - f64::from(alpha);
         }
         let largest = DVec3::splat(f32::MAX.into());
-        Resolved::new(DVec3::from(target.map(|x| format.read(x))).min(largest), transmittance)
+        Resolved::new(DVec3::from(format.read_texel(target)).min(largest), transmittance)
     }
 
     fn cost(&self, _complexity: &DepthComplexity) -> Cost {

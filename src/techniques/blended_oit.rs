@@ -63,7 +63,7 @@ fn gpu(params: &Params, _view: &View) -> Result<Form> {
     ];
     Ok(Form {
         shader: include_str!("../../shaders/blended_oit.wgsl"),
-        numbers: vec![Number::float(format.max_finite())],
+        numbers: vec![Number::float(format.max_finite(0))],
         path: Path::Blended(Blending {
             draw: "accumulate",
             resolve: "resolve",

@@ -62,7 +62,7 @@ fn candidates(kind: Kind) -> Vec<Input> {
     let floats = [-5.0, 0.0, 1e-3, 0.01, 0.25, 2.5, 60.0].map(Input::Float);
     let lists = [vec![2.0, 6.0], vec![0.5, 20.0], vec![0.0, 0.5, 1.0]].map(Input::Floats);
     let words = ["pixel", "scene"].into_iter().chain(match kind {
-        Kind::Choice(choices) => choices.iter().copied(),
+        Kind::Choice(choices) | Kind::Function { names: choices, .. } => choices.iter().copied(),
         _ => [].iter().copied(),
     });
     let formats = match kind {

@@ -5,7 +5,9 @@ mod stored;
 
 use self::stored::{BIN_SUMMATION, StoredBins, Storing, TARGETS};
 use crate::continuum::absorbance::{S_MAX, absorbance};
-use crate::continuum::bins::{BATCH, BinFunction, Bins, REACH, SUPPORT, share_out};
+use crate::continuum::bins::{
+    BATCH, BinFunction, Bins, OwnBins, REACH, SUPPORT, Shares, share_out, shares_of,
+};
 use crate::continuum::normalize::{Core, sums_of_all};
 use crate::continuum::oracle::{CHUNK, chunks};
 use crate::continuum::range::DepthRange;
@@ -14,6 +16,7 @@ use crate::diagnosis::{Diagnosis, Faults};
 use crate::error::Result;
 use crate::fragments::{List, Lists};
 use crate::gpu::form::{Form, Listing, Number, Path, Sorting, only, only_default_formats};
+use crate::own::Signature;
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{
     AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties, Resolved, Technique,
@@ -62,9 +65,10 @@ pub static INFO: Info = Info {
         ),
         ParamSpec::new(
             "bin_function",
-            Kind::Choice(&["bell", "tent"]),
+            Kind::Function { names: &["bell", "tent"], signature: &BIN_SIGNATURE },
             Value::Text("bell"),
-            "how a fragment fades with its distance from a bin's centre",
+            "how a fragment fades with its distance x from a bin's centre, in bin widths; it reaches 2.5 of them. One's \
+             own gives shares >= 0, at most 1 of which counts with partition=\"none\"",
         )
         .when(|p| p.bool("smooth")),
         ParamSpec::new(
@@ -115,10 +119,14 @@ pub static INFO: Info = Info {
     gpu: Some(gpu),
 };
 
+/// What bin functions of one's own are given.
+static BIN_SIGNATURE: Signature = Signature { entry: "bin", arguments: &["x"], callable: "(x) -> share" };
+
 fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
-    let function = match params.text("bin_function") {
-        "tent" => BinFunction::Tent,
-        _ => BinFunction::Bell,
+    let function = match params.value("bin_function") {
+        Value::Text("tent") => BinFunction::Tent,
+        Value::Text(_) => BinFunction::Bell,
+        _ => BinFunction::Own(OwnBins::from_params(params, params.is("partition", "none"))?),
     };
     let sharing = match (params.bool("smooth"), params.text("partition")) {
         (false, _) => Sharing::Naive,
@@ -167,10 +175,14 @@ fn gpu(params: &Params, view: &View) -> Result<Form> {
         DepthRange::Pixel => (0.0, 0.0),
         DepthRange::Fixed(lo, hi) => (lo, hi),
     };
-    let fading = match (params.bool("smooth"), params.text("bin_function")) {
+    let fading = match (params.bool("smooth"), params.value("bin_function")) {
         (false, _) => 0,
-        (true, "bell") => 1,
-        (true, _) => 2,
+        (true, Value::Text("bell")) => 1,
+        (true, Value::Text("tent")) => 2,
+        _ => {
+            let problem = "bin functions of one's own have no form on the backend \"gpu\"";
+            return Err(params.error(problem, "there bin_function is \"bell\" or \"tent\""));
+        }
     };
     let bins = u32::try_from(params.size("bins")).unwrap_or_else(|_| unreachable!("at most 512"));
     let anchor = if params.text("shape_anchor") == "edge" { 0.0 } else { 0.5 };
@@ -194,7 +206,7 @@ fn gpu(params: &Params, view: &View) -> Result<Form> {
 }
 
 /// What of a fragment goes to which bins.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone)]
 enum Sharing {
     /// All of it to its own bin.
     Naive,
@@ -280,19 +292,10 @@ fn locate_all(
 }
 
 /// Blends fragments into their bins with their alphas faded (FEE21 §3.2).
-fn blend_faded(
-    bins: &mut Bins,
-    function: BinFunction,
-    part: List<'_>,
-    weights: &[f32],
-    own: &[usize; CHUNK],
-    xs: &[f64; CHUNK],
-) {
-    let mut shares = [[0.0; CHUNK]; SUPPORT];
-    share_out(function, &xs[..part.len()], &mut shares);
+fn blend_faded(bins: &mut Bins, shares: &Shares, part: List<'_>, weights: &[f32], own: &[usize; CHUNK]) {
     for (i, &weight) in weights.iter().enumerate() {
         let (color, alpha) = (part.color[i], part.alpha[i]);
-        for (bin, shares) in bins.touch_reach(own[i]).iter_mut().zip(&shares) {
+        for (bin, shares) in bins.touch_reach(own[i]).iter_mut().zip(shares) {
             // a share of nothing changes nothing
             let coverage = f64::from(alpha) * f64::from(shares[i]);
             bin.add_share(shares[i] * weight, color, alpha, coverage, 1.0 - coverage);
@@ -331,17 +334,22 @@ impl LayeredWboit {
     fn blend_chunk(&self, bins: &mut Bins, slicing: Slicing, part: List<'_>, weights: &[f32]) {
         let (mut own, mut xs) = ([0; CHUNK], [0.0; CHUNK]);
         locate_all(self.bins, slicing, part.depth, &mut own, &mut xs);
-        let places = own.iter().zip(&xs).zip(weights).zip(part.color.iter().zip(part.alpha));
-        match self.sharing {
+        let mut shares = [[0.0; CHUNK]; SUPPORT];
+        let places = own.iter().zip(weights).zip(part.color.iter().zip(part.alpha));
+        match &self.sharing {
             Sharing::Naive => {
-                for (((&own, _), &weight), (&color, &alpha)) in places {
+                for ((&own, &weight), (&color, &alpha)) in places {
                     bins.touch(own).add(weight, color, alpha);
                 }
             }
-            Sharing::Coverage(function) => blend_faded(bins, function, part, weights, &own, &xs),
+            Sharing::Coverage(function) => {
+                share_out(function, &xs[..part.len()], &mut shares);
+                blend_faded(bins, &shares, part, weights, &own);
+            }
             Sharing::Absorbance(function, s_max) => {
-                for (((&own, &x), &weight), (&color, &alpha)) in places {
-                    self.divide(bins, function.shares(x), s_max, own, weight, color, alpha);
+                share_out(function, &xs[..part.len()], &mut shares);
+                for (i, ((&own, &weight), (&color, &alpha))) in places.enumerate() {
+                    self.divide(bins, shares_of(&shares, i), *s_max, own, weight, color, alpha);
                 }
             }
         }
@@ -481,7 +489,7 @@ impl Technique for LayeredWboit {
 
     fn properties(&self) -> Properties {
         let whole = !self.loses_fragments();
-        let exact = self.normalize || self.sharing == Sharing::Naive;
+        let exact = self.normalize || matches!(self.sharing, Sharing::Naive);
         self.storing.promises(Properties {
             order_independent: whole,
             unbiased: false,

@@ -104,7 +104,7 @@ fn gpu(params: &Params, _view: &View) -> Result<Form> {
         BlendTarget::product("modulation_format", modulation, 4, Blend::Multiply),
     ];
     let weight = weighting(params)?.numbers().unwrap_or_else(|| unreachable!("it is a published one"));
-    let more = [format.max_finite(), params.float("divisor_floor")];
+    let more = [format.max_finite(0), params.float("divisor_floor")];
     Ok(Form {
         shader: include_str!("../../shaders/phenomenological.wgsl"),
         numbers: weight.into_iter().chain(transmission.into_iter().chain(more).map(Number::float)).collect(),

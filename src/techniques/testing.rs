@@ -141,7 +141,7 @@ pub fn run(technique: &dyn AnyTechnique, order: SubmissionOrder, scene: &[Vec<Fr
     };
     let mut out: Vec<_> = (0..scene.len()).map(|i| Resolved::background(batch.background(i))).collect();
     let pixels: Vec<_> = (0..scene.len() as u32).filter(|&i| lists.as_ref().count(i as usize) > 0).collect();
-    technique.resolve_batch(&batch, &pixels, &mut out, &|| false);
+    technique.resolve_batch(&batch, &pixels, &mut out, &|| false).unwrap();
     out
 }
 

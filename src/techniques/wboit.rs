@@ -7,7 +7,7 @@ use crate::continuum::stored_sums::diagnose::{diagnose, faults};
 use crate::continuum::sums::{Blended, Sums, SumsOf, finish_each};
 use crate::diagnosis::{Diagnosis, Faults};
 use crate::error::Result;
-use crate::format::{Format, FormatSet, Formats, SUMMATION, Summation, Target};
+use crate::format::{FormatSet, Formats, SUMMATION, Summation, Target};
 use crate::gpu::form::{Blend, BlendTarget, Blending, Form, Number, Path, SHARES, SUMS, only, target_format};
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{
@@ -109,9 +109,9 @@ fn gpu(params: &Params, _view: &View) -> Result<Form> {
     let numbers = weighting.numbers().ok_or_else(|| {
         params.error("this weight has no form on the backend \"gpu\"", "there weights are the published ones")
     })?;
-    let largest_weights = formats.find("weights").map_or(f64::MAX, Format::max_finite);
+    let largest_weights = formats.find("weights").map_or(f64::MAX, |format| format.max_finite(0));
     let more = [
-        Number::float(format.max_finite()),
+        Number::float(format.max_finite(0)),
         Number::float(largest_weights),
         Number::Whole(params.bool("listing3_clamp").into()),
     ];

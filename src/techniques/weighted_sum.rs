@@ -58,7 +58,7 @@ fn gpu(params: &Params, _view: &View) -> Result<Form> {
     let targets = vec![BlendTarget::sums("accumulation_format", format, 4)];
     Ok(Form {
         shader: include_str!("../../shaders/weighted_sum.wgsl"),
-        numbers: vec![Number::float(format.max_finite())],
+        numbers: vec![Number::float(format.max_finite(0))],
         path: Path::Blended(Blending {
             draw: "accumulate",
             resolve: "resolve",

@@ -7,10 +7,14 @@
 
 mod gpu;
 mod log;
+mod own;
 
-use crate::continuum::functions::exp;
+pub use own::Own;
+
+use crate::continuum::functions::{exp, ln};
 use crate::error::Result;
-use crate::params::{Kind, ParamSpec, Params, Value};
+use crate::own::Signature;
+use crate::params::{Kind, ParamSpec, Params, Setting, Value};
 use multiversion::multiversion;
 
 /// Weights stay within these bounds. Where all weights underflow to the floor the average is unweighted
@@ -19,13 +23,6 @@ pub const WEIGHT_BOUNDS: (f32, f32) = (1e-30, 1e30);
 
 /// The smallest depth a weight sees: keeps `z^-k` finite at the eye.
 pub const MIN_DEPTH: f32 = 1e-4;
-
-/// A weight function of depth and coverage that somebody else wrote.
-pub trait DepthWeight: Send + Sync {
-    /// Writes `weights[i] = w(depth[i], alpha[i])`. The slices have one length; `depth >= `[`MIN_DEPTH`]. Up to
-    /// seven more weights may be asked for than there are fragments, at depths that mean nothing.
-    fn evaluate(&self, depth: &[f32], alpha: &[f32], weights: &mut [f32]);
-}
 
 /// The published weights.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -150,7 +147,7 @@ fn bounded(w: f32) -> f32 {
     if w < ceiling { w } else { ceiling }
 }
 
-/// `z^-k`; by multiplication where k is a small whole number, which is faster than `powf` and as exact.
+/// `z^-k`; by multiplication where k is a small whole number, which is faster and as exact.
 #[inline(always)]
 #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
 fn inverse_power(at: &Fragments<'_>, weights: &mut [f32], k: f32) {
@@ -162,11 +159,43 @@ fn inverse_power(at: &Fragments<'_>, weights: &mut [f32], k: f32) {
         4.0 => fill(at, weights, |z, _| square(square(z.recip()))),
         5.0 => fill(at, weights, |z, _| square(square(z.recip())) * z.recip()),
         6.0 => fill(at, weights, |z, _| square(square(z.recip()) * z.recip())),
-        _ => fill(at, weights, |z, _| z.powf(-k)),
+        _ => any_inverse_power(at, weights, k),
+    }
+}
+
+/// `z^-k` for any k: a plain loop of its own, which becomes one of whole vectors.
+#[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
+#[expect(clippy::cast_possible_truncation, reason = "weights are evaluated in f32")]
+fn any_inverse_power(at: &Fragments<'_>, weights: &mut [f32], k: f32) {
+    let k = f64::from(k);
+    for (weight, &z) in weights.iter_mut().zip(at.depth) {
+        let seen = f64::from(at.seen.see(z));
+        // what the clamp changes is beyond the bounds of weights, too
+        *weight = bounded(exp((-k * ln(seen)).clamp(-100.0, 100.0)) as f32);
     }
 }
 
 impl Formula {
+    /// The published weight that the params name.
+    fn from_params(params: &Params, planes: Planes) -> Self {
+        #[expect(clippy::cast_possible_truncation, reason = "weights are evaluated in f32")]
+        let k = || params.float("weight_k") as f32;
+        match params.text("weight") {
+            "one" => Self::One,
+            "mb7" => Self::Mb7,
+            "mb8" => Self::Mb8,
+            "mb9" => Self::Mb9,
+            "mb10" => Self::Mb10(planes),
+            "inv_pow" => Self::InvPow { k: k() },
+            "exp" => Self::Exp { k: k() },
+            "fig1" => Self::Fig1,
+            "smoke6" => Self::Smoke6,
+            "fig10" => Self::Fig10 { k: k() },
+            "i3d16" => Self::I3d16(planes),
+            other => unreachable!("{other:?} is not a choice of \"weight\""),
+        }
+    }
+
     #[inline(always)]
     #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
     fn weigh(&self, at: &Fragments<'_>, weights: &mut [f32]) {
@@ -216,7 +245,7 @@ pub enum Function {
     /// One of the published ones.
     Published(Formula),
     /// Another one.
-    Own(Box<dyn DepthWeight>),
+    Own(Own),
 }
 
 /// The depth that weights see.
@@ -246,30 +275,14 @@ impl Weighting {
     /// [`WEIGHT_SCALE`], [`WEIGHT_SHIFT`], [`NEAR`] and [`FAR`].
     ///
     /// # Errors
-    /// `Error::Param` if near is not below far.
+    /// `Error::Param` if near is not below far, or if a weight of the user's own cannot be run.
     pub fn from_params(params: &Params) -> Result<Self> {
         let planes = Planes::from_params(params)?;
-        #[expect(clippy::cast_possible_truncation, reason = "weights are evaluated in f32")]
-        let k = || params.float("weight_k") as f32;
-        let formula = match params.text("weight") {
-            "one" => Formula::One,
-            "mb7" => Formula::Mb7,
-            "mb8" => Formula::Mb8,
-            "mb9" => Formula::Mb9,
-            "mb10" => Formula::Mb10(planes),
-            "inv_pow" => Formula::InvPow { k: k() },
-            "exp" => Formula::Exp { k: k() },
-            "fig1" => Formula::Fig1,
-            "smoke6" => Formula::Smoke6,
-            "fig10" => Formula::Fig10 { k: k() },
-            "i3d16" => Formula::I3d16(planes),
-            other => unreachable!("{other:?} is not a choice of \"weight\""),
+        let function = match params.setting("weight") {
+            Setting::Plain(_) => Function::Published(Formula::from_params(params, planes)),
+            own => Function::Own(Own::new(own, planes, params)?),
         };
-        Ok(Self::new(
-            Function::Published(formula),
-            params.float("weight_scale"),
-            params.float("weight_shift"),
-        ))
+        Ok(Self::new(function, params.float("weight_scale"), params.float("weight_shift")))
     }
 
     /// Whether two weightings are known to give the same weights.
@@ -278,11 +291,28 @@ impl Weighting {
             (Function::Published(mine), Function::Published(theirs)) => {
                 mine == theirs && self.seen == other.seen
             }
+            (Function::Own(mine), Function::Own(theirs)) => mine.is_same(theirs) && self.seen == other.seen,
             _ => false,
         }
     }
 
-    /// [`Weighting::evaluate`] for the caller's instruction set.
+    /// Whether it is somebody's own, which is best evaluated for many fragments at once.
+    pub fn is_own(&self) -> bool {
+        matches!(self.function, Function::Own(_))
+    }
+
+    /// As many fragments as are best evaluated at once.
+    pub fn chunk(&self) -> usize {
+        match &self.function {
+            Function::Published(_) => 1,
+            Function::Own(own) => own.chunk(),
+        }
+    }
+
+    /// [`Weighting::evaluate`] of a published weight for the caller's instruction set.
+    ///
+    /// # Panics
+    /// If the weight is somebody's own.
     #[inline(always)]
     #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
     pub fn evaluate_here(&self, depth: &[f32], alpha: &[f32], weights: &mut Vec<f32>) {
@@ -291,28 +321,46 @@ impl Weighting {
                 weights.resize(depth.len(), 0.0);
                 formula.weigh(&Fragments { seen: self.seen, depth, alpha }, weights);
             }
-            Function::Own(_) => self.evaluate(depth, alpha, weights),
+            Function::Own(_) => panic!("a weight of somebody's own is evaluated for many fragments at once"),
         }
     }
 
-    /// The weight of every fragment, in `weights`, which is resized to fit.
+    /// The weight of every fragment, in `weights`, which is resized to fit. What is no weight is reported.
     pub fn evaluate(&self, depth: &[f32], alpha: &[f32], weights: &mut Vec<f32>) {
+        self.evaluate_for(depth, alpha, weights, |_| true);
+    }
+
+    /// The same, where only some fragments' weights are used and to be reported about.
+    pub fn evaluate_for(
+        &self,
+        depth: &[f32],
+        alpha: &[f32],
+        weights: &mut Vec<f32>,
+        is_used: impl Fn(usize) -> bool,
+    ) {
+        let invalid = self.evaluate_counted(depth, alpha, weights, |i| is_used(i).into());
+        if let Function::Own(own) = &self.function {
+            own.report(invalid);
+        }
+    }
+
+    /// The same, and how many results were no weights, the one of fragment i counted `times(i)` times. The caller
+    /// reports them.
+    pub fn evaluate_counted(
+        &self,
+        depth: &[f32],
+        alpha: &[f32],
+        weights: &mut Vec<f32>,
+        times: impl Fn(usize) -> u64,
+    ) -> u64 {
         weights.resize(depth.len(), 0.0);
+        let fragments = Fragments { seen: self.seen, depth, alpha };
         match &self.function {
             Function::Published(formula) => {
-                weigh_published(formula, &Fragments { seen: self.seen, depth, alpha }, weights);
+                weigh_published(formula, &fragments, weights);
+                0
             }
-            Function::Own(function) => {
-                const CHUNK: usize = 128;
-                let mut seen = [0.0; CHUNK];
-                let chunks = depth.chunks(CHUNK).zip(alpha.chunks(CHUNK)).zip(weights.chunks_mut(CHUNK));
-                for ((depth, alpha), weights) in chunks {
-                    let seen = &mut seen[..depth.len()];
-                    seen.iter_mut().zip(depth).for_each(|(seen, &z)| *seen = self.seen.see(z));
-                    function.evaluate(seen, alpha, weights);
-                    weights.iter_mut().for_each(|w| *w = bounded(*w));
-                }
-            }
+            Function::Own(own) => own.weigh(&fragments, weights, times),
         }
     }
 }
@@ -323,31 +371,45 @@ fn weigh_published(formula: &Formula, fragments: &Fragments<'_>, weights: &mut [
 }
 
 fn depth_matters(params: &Params) -> bool {
-    params.text("weight") != "one"
+    !params.is("weight", "one")
 }
 
 fn planes_matter(params: &Params) -> bool {
-    matches!(params.text("weight"), "mb10" | "i3d16")
+    match params.setting("weight") {
+        Setting::Plain(weight) => matches!(weight, Value::Text("mb10" | "i3d16")),
+        Setting::Written(source) => source.reads("d"),
+        Setting::Called(_) => false,
+    }
 }
+
+/// What weights of one's own are given: the depth that weights see, alpha, and window depth (MB13 eq. 11).
+pub const SIGNATURE: Signature =
+    Signature { entry: "weight", arguments: &["z", "a", "d"], callable: "(z, alpha) -> weight" };
+static WEIGHT_SIGNATURE: Signature = SIGNATURE;
 
 /// The param that picks the function.
 pub const WEIGHT: ParamSpec = ParamSpec::new(
     "weight",
-    Kind::Choice(&["one", "mb7", "mb8", "mb9", "mb10", "inv_pow", "exp", "fig1", "smoke6", "fig10", "i3d16"]),
+    Kind::Function {
+        names: &["one", "mb7", "mb8", "mb9", "mb10", "inv_pow", "exp", "fig1", "smoke6", "fig10", "i3d16"],
+        signature: &WEIGHT_SIGNATURE,
+    },
     Value::Text("mb7"),
     "weight function of depth and coverage: mb7 to mb10 are MB13 eq. 7 to 10, fig1, smoke6 and fig10 those of \
-     its figures 1, 6 and 10, inv_pow is z^-k, exp is exp(-k z), i3d16 the phenomenological model's",
+     its figures 1, 6 and 10, inv_pow is z^-k, exp is exp(-k z), i3d16 the phenomenological model's; in WGSL, z is \
+     the depth that weights see, a is alpha, d window depth (MB13 eq. 11), and any other name a uniform with a \
+     param of its own (weight.k)",
 );
 /// The k of `inv_pow`, `exp` and `fig10`.
 pub const WEIGHT_K: ParamSpec =
     ParamSpec::new("weight_k", Kind::POSITIVE, Value::None, "the k of inv_pow, exp and fig10")
-        .derived("4 (inv_pow), 1 (exp), 0.01 (fig10)", |params, _| match params.text("weight") {
-            "inv_pow" => Value::Float(4.0),
-            "exp" => Value::Float(1.0),
-            "fig10" => Value::Float(0.01),
+        .derived("4 (inv_pow), 1 (exp), 0.01 (fig10)", |params, _| match params.value("weight") {
+            Value::Text("inv_pow") => Value::Float(4.0),
+            Value::Text("exp") => Value::Float(1.0),
+            Value::Text("fig10") => Value::Float(0.01),
             _ => Value::None,
         })
-        .when(|params| matches!(params.text("weight"), "inv_pow" | "exp" | "fig10"));
+        .when(|params| matches!(params.value("weight"), Value::Text("inv_pow" | "exp" | "fig10")));
 /// The depth scale g.
 pub const WEIGHT_SCALE: ParamSpec =
     ParamSpec::new("weight_scale", Kind::POSITIVE, Value::Float(1.0), "weights see scale * z + shift")
@@ -360,7 +422,7 @@ pub const WEIGHT_SHIFT: ParamSpec = ParamSpec::new(
     "weights see scale * z + shift, at least 1e-4 (FEE21 section 3.4)",
 )
 .when(depth_matters);
-/// The near plane of mb10 and i3d16.
+/// The near plane of mb10, i3d16 and window depth.
 pub const NEAR: ParamSpec = ParamSpec::new(
     "near",
     Kind::POSITIVE,
@@ -369,7 +431,7 @@ pub const NEAR: ParamSpec = ParamSpec::new(
 )
 .derived("the camera's", |_, view| Value::Float(view.near))
 .when(planes_matter);
-/// The far plane of mb10 and i3d16.
+/// The far plane of mb10, i3d16 and window depth.
 pub const FAR: ParamSpec =
     ParamSpec::new("far", Kind::POSITIVE, Value::None, "view depth at which window depth is 1 (MB13 eq. 11)")
         .derived("the camera's", |_, view| Value::Float(view.far))

@@ -1,4 +1,5 @@
 use super::*;
+use crate::params::{Input, View, check};
 
 /// Relative error of an f32 formula of a dozen operations.
 const F32_FORMULA: f64 = 2e-6;
@@ -28,7 +29,7 @@ fn by_hand(formula: Formula, z: f64, a: f64, near: f64, far: f64) -> f64 {
     }
 }
 
-fn formulas(near: f64, far: f64) -> [Formula; 11] {
+fn formulas(near: f64, far: f64) -> [Formula; 12] {
     let planes = Planes::new(near, far);
     [
         Formula::One,
@@ -37,6 +38,7 @@ fn formulas(near: f64, far: f64) -> [Formula; 11] {
         Formula::Mb9,
         Formula::Mb10(planes),
         Formula::InvPow { k: 4.0 },
+        Formula::InvPow { k: 3.7 },
         Formula::Exp { k: 0.25 },
         Formula::Fig1,
         Formula::Smoke6,
@@ -160,4 +162,86 @@ fn logarithms_of_weights_neither_overflow_nor_underflow() {
     assert!((log2(Formula::InvPow { k: 1e3 }, 0.0, 0.5) / (4e3 * 10.0_f64.log2()) - 1.0).abs() < 1e-6);
     assert_eq!(log2(Formula::Smoke6, 1.0, 0.0), f64::NEG_INFINITY);
     assert_eq!(log2(Formula::One, 1e6, 0.5), 0.0);
+}
+
+/// The published weights as somebody would write them in WGSL. Those of window depth lose what it loses: 1 − d is known
+/// to an ulp of 1.
+const WRITTEN: [(Formula, &str); 11] = [
+    (Formula::One, "a / a"),
+    (Formula::Mb7, "a * clamp(10.0 / (1e-5 + pow(z / 5.0, 2.0) + pow(z / 200.0, 6.0)), 1e-2, 3e3)"),
+    (Formula::Mb8, "a * max(1e-2, min(3e3, 10.0 / (1e-5 + pow(z / 10.0, 3.0) + pow(z / 200.0, 6.0))))"),
+    (
+        Formula::Mb9,
+        "const far = 200.0;
+         fn fourth(x: f32) -> f32 { let s = x * x; return s * s; }
+         fn weight(a: f32, z: f32) -> f32 { return a * clamp(0.03 / (1e-5 + fourth(z / far)), 1e-2, 3e3); }",
+    ),
+    (Formula::Mb10(PLANES), "a * max(1e-2, 3e3 * pow(1.0 - d, 3.0))"),
+    (Formula::InvPow { k: 4.0 }, "pow(z, -4)"),
+    (Formula::Exp { k: 0.25 }, "exp(-0.25 * z)"),
+    (Formula::Fig1, "pow(z + 5.0, -2.0)"),
+    (Formula::Smoke6, "pow(a / (z * z * z), 2)"),
+    (Formula::Fig10 { k: 0.01 }, "10.0 / (1.0 + 10.0 * pow(0.01 * z, 5.0))"),
+    (Formula::I3d16(PLANES), "clamp(1e3 * a * pow(1.0 - 0.99 * d, 3.0), 1e-2, 30.0)"),
+];
+/// Replaced by those of a near plane at 0.5 and a far one at 300.
+const PLANES: Planes = Planes { scale: 0.0, inverse_far: 0.0 };
+
+/// A weighting by a text, between 0.5 and 300.
+fn written(text: &str) -> Weighting {
+    let specs = [WEIGHT, WEIGHT_K, WEIGHT_SCALE, WEIGHT_SHIFT, NEAR, FAR];
+    let inputs = [("weight".to_owned(), Input::Text(text.to_owned()))];
+    let view = View { near: 0.5, far: 300.0, ..View::ORDINARY };
+    let params = check("demo", &specs, &inputs).unwrap().resolve(&specs, &view);
+    Weighting::from_params(&params).unwrap()
+}
+
+#[test]
+fn published_weights_can_be_written() {
+    let mut random = crate::techniques::testing::Random::new(7);
+    for (formula, text) in WRITTEN {
+        let formula = match formula {
+            Formula::Mb10(_) => Formula::Mb10(Planes::new(0.5, 300.0)),
+            Formula::I3d16(_) => Formula::I3d16(Planes::new(0.5, 300.0)),
+            other => other,
+        };
+        let own = written(text);
+        let depth: Vec<_> = (0..1000).map(|_| 0.3 + 299.0 * random.unit() * random.unit()).collect();
+        let alpha: Vec<_> = (0..1000).map(|_| 0.01 + 0.99 * random.unit()).collect();
+        let (mut expected, mut got) = (Vec::new(), Vec::new());
+        Weighting::new(Function::Published(formula), 1.0, 0.0).evaluate(&depth, &alpha, &mut expected);
+        own.evaluate(&depth, &alpha, &mut got);
+        for (i, (&got, &expected)) in got.iter().zip(&expected).enumerate() {
+            // three times what an ulp of 1 is of 1 - d, or a few ulps
+            let rest = (0.5 / 299.5 * (300.0 / depth[i] - 1.0)).clamp(0.0, 1.0);
+            let lost = match formula {
+                Formula::Mb10(_) => 3.0 * f32::EPSILON / rest.max(1e-3),
+                Formula::I3d16(_) => 3.0 * f32::EPSILON / (0.01 + 0.99 * rest),
+                _ => 0.0,
+            };
+            let error = (got / expected - 1.0).abs();
+            assert!(error <= 6.0 * f32::EPSILON + lost, "{text} {}: {got} for {expected}", depth[i]);
+        }
+    }
+}
+
+#[test]
+fn what_is_no_weight_is_counted_and_replaced() {
+    let own = written("select(log(-z), 2.0 - z, z < 5.0)");
+    let mut weights = Vec::new();
+    let depth = [1.0, 2.0, 3.0, 6.0, 1.5];
+    let invalid = own.evaluate_counted(&depth, &[0.5; 5], &mut weights, |i| [1, 10, 100, 1000, 10_000][i]);
+    let floor = WEIGHT_BOUNDS.0;
+    assert_eq!(weights, [1.0, floor, floor, floor, 0.5]);
+    assert_eq!(invalid, 1110);
+    let huge = written("1e38 * z");
+    assert_eq!(huge.evaluate_counted(&[1.0], &[0.5], &mut weights, |_| 1), 0);
+    assert_eq!(weights, [WEIGHT_BOUNDS.1]);
+}
+
+#[test]
+fn equal_texts_are_the_same_weight() {
+    assert!(written("1.0 / z").is_same(&written("1.0 / z")));
+    assert!(!written("1.0 / z").is_same(&written("2.0 / z")));
+    assert!(!written("1.0 / z").is_same(&Weighting::new(Function::Published(Formula::One), 1.0, 0.0)));
 }

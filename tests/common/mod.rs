@@ -82,7 +82,8 @@ pub fn frame(source: Source<'_>, id: &str, params: &[(&str, Input)]) -> Frame {
 
 /// A request for [`render`].
 pub fn request(id: &str, params: &[(&str, Input)]) -> Request {
-    (id.to_owned(), params.iter().map(|(n, v)| ((*n).to_owned(), v.clone())).collect())
+    let params = params.iter().map(|(n, v)| ((*n).to_owned(), v.clone()));
+    (id.to_owned(), params.collect::<Vec<_>>()).into()
 }
 
 /// A capture with options.

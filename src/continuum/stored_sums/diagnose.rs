@@ -95,7 +95,7 @@ impl StoredSums {
                 if !new.is_finite() {
                     return if old.is_finite() { Faults::of(&[Fault::Overflow]) } else { Faults::NONE };
                 }
-                if !format.has_infinity() && old + source > format.max_finite() {
+                if !format.has_infinity() && old + source > format.max_finite(channel) {
                     return Faults::of(&[Fault::Saturation]);
                 }
                 if new.abs() < format.smallest_normal() {

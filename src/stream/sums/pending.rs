@@ -2,10 +2,10 @@
 //! after the other: the sums of a band stay in the nearest cache, those of the whole tile do not. A pixel gets its
 //! fragments in the same order.
 
-use super::Sums;
 use super::kernels::{add_constant, cover_faintly};
+use super::{Sums, Weight};
 use crate::continuum::sums::FAINT;
-use crate::raster::Run;
+use crate::raster::{Cover, Premultiplied, Run};
 use multiversion::multiversion;
 
 /// Pixels whose sums fit the nearest cache, at 28 bytes each: so many rows of a tile that are no more.
@@ -18,6 +18,10 @@ const RUNS: usize = 1 << 13;
 pub struct Pending {
     layers: Vec<Layer>,
     runs: Vec<Run>,
+    /// The layers' colours, coverages and depths.
+    colors: Vec<Premultiplied>,
+    alpha: Vec<f32>,
+    depth: Vec<f32>,
     /// What each layer adds to the sums, weight by weight.
     added: Vec<Vec<[f32; 4]>>,
 }
@@ -55,19 +59,44 @@ impl Pending {
         self.runs.len() >= RUNS
     }
 
-    /// Keeps a primitive with what it adds to the sums of each weight.
-    pub fn push(&mut self, runs: &[Run], alpha: f64, added: impl Iterator<Item = [f32; 4]>) {
+    /// Keeps a primitive of one colour, and one depth where weights look at it.
+    pub fn push(&mut self, cover: &Cover<'_, '_>, color: Premultiplied) {
         let first = self.runs.len();
-        self.runs.extend_from_slice(runs);
-        self.layers.push(Layer { alpha, now: first..first, end: self.runs.len() });
-        for (all, added) in self.added.iter_mut().zip(added) {
-            all.push(added);
+        self.runs.extend_from_slice(cover.runs);
+        self.layers.push(Layer { alpha: color[3].into(), now: first..first, end: self.runs.len() });
+        self.colors.push(color);
+        self.alpha.push(color[3]);
+        self.depth.push(cover.constant_depth.unwrap_or(1.0));
+    }
+
+    /// What each layer adds to the sums of each weight: the weight at its depth times its colour.
+    fn weigh(&mut self, weights: &mut [Weight<'_>], numbers: &mut Vec<f32>) {
+        let Self { layers, runs, colors, alpha, depth, added } = self;
+        let pixels = |layer: usize| {
+            let first = if layer == 0 { 0 } else { layers[layer - 1].end };
+            runs[first..layers[layer].end].iter().map(|run| u64::from(run.len)).sum::<u64>()
+        };
+        for (weight, added) in weights.iter_mut().zip(added) {
+            let Some(weighting) = weight.weighting else {
+                added.extend_from_slice(colors);
+                continue;
+            };
+            let times = |layer: usize| if colors[layer] == [0.0; 4] { 0 } else { pixels(layer) };
+            weight.invalid += weighting.evaluate_counted(depth, alpha, numbers, times);
+            added.extend(colors.iter().zip(&*numbers).map(|(color, w)| color.map(|channel| w * channel)));
         }
     }
 
     /// Blends everything, in the order in which it came, into a tile of so many columns.
-    pub fn blend(&mut self, columns: usize, sums: &mut Sums) {
-        let Self { layers, runs, added } = self;
+    pub fn blend(
+        &mut self,
+        columns: usize,
+        weights: &mut [Weight<'_>],
+        sums: &mut Sums,
+        numbers: &mut Vec<f32>,
+    ) {
+        self.weigh(weights, numbers);
+        let Self { layers, runs, added, .. } = self;
         let Sums { weighted, transmittance, coverage, counts, faint } = sums;
         let Some((first, others)) = weighted.split_first_mut() else { return };
         // whole rows: a run that reached into the next band would come before earlier ones there
@@ -90,6 +119,9 @@ impl Pending {
     pub fn clear(&mut self) {
         self.layers.clear();
         self.runs.clear();
+        self.colors.clear();
+        self.alpha.clear();
+        self.depth.clear();
         self.added.iter_mut().for_each(Vec::clear);
     }
 }

@@ -28,7 +28,7 @@ impl Finish {
     /// As the params say; the tail's weights matter unless they are all 1.
     pub fn new(setup: &Setup, weighting: Weighting) -> Self {
         let recipe = setup.storage.recipe;
-        let weighting = (setup.weight != "one").then_some(weighting);
+        let weighting = setup.weighs.then_some(weighting);
         match (setup.normalize, setup.memory) {
             ("none", _) => Self::None,
             ("tail", _) if setup.storage.is_default() => Self::Tail(Tail { weighting }),

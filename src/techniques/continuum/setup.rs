@@ -15,7 +15,8 @@ pub struct Setup {
     pub normalize: &'static str,
     pub opacity: &'static str,
     pub accumulate: &'static str,
-    pub weight: &'static str,
+    /// Whether fragments of a tail are weighed.
+    pub weighs: bool,
     pub layers: usize,
     pub bins: usize,
     pub samples: usize,
@@ -42,7 +43,7 @@ impl Setup {
             normalize: params.text("normalize"),
             opacity: params.text("opacity"),
             accumulate: params.text("accumulate"),
-            weight: params.text("weight"),
+            weighs: !params.is("weight", "one"),
             layers: params.size("layers"),
             bins: params.size("bins"),
             samples: params.size("samples"),

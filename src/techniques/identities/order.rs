@@ -4,7 +4,7 @@ use super::{OTHER_ORDER, Variant, pixels, variants};
 use crate::format::Format;
 use crate::fragments::Fragment;
 use crate::order::SubmissionOrder;
-use crate::params::{Params, Value};
+use crate::params::{Params, Setting, Value};
 use crate::techniques::testing::{Random, fragment, random_pixel, submission_order};
 
 /// How far permutations of a pixel's fragments move its colour, relative to it.
@@ -48,13 +48,13 @@ fn order_matters_exactly_where_it_is_not_claimed_to_be_irrelevant() {
 /// more, once per layer.
 fn rounding(variant: &Variant) -> f64 {
     let bias = variant.params.iter().find(|(name, _)| *name == "bias");
-    let rounding = match bias.map(|(_, value)| value) {
+    let rounding = match bias.map(|(_, setting)| setting) {
         None => OTHER_ORDER,
-        Some(Value::Float(bias)) if bias >= 1e-7 => 2e-3,
+        Some(Setting::Plain(Value::Float(bias))) if *bias >= 1e-7 => 2e-3,
         Some(_) => 0.1,
     };
     let has = |wanted: &str| variant.params.iter().any(|(name, _)| name == wanted);
-    let fixed = variant.params.iter().any(|param| param == ("summation", Value::Text("fixed")));
+    let fixed = has("summation") && variant.params.is("summation", "fixed");
     // weights that are seen through a map are rounded as the map's sums are
     if fixed && !has("composite") { 0.0 } else { rounding.max(narrow_rounding(&variant.params)) }
 }
@@ -63,8 +63,8 @@ fn rounding(variant: &Variant) -> f64 {
 fn narrow_rounding(params: &Params) -> f64 {
     let is_format = |name: &str| name.ends_with("_format");
     let formats = params.identity().into_iter().filter(|(name, _)| is_format(name));
-    let narrow = formats.filter_map(|(_, value)| match value {
-        Value::Text(name) => Format::from_name(name).filter(|format| *format != Format::F32),
+    let narrow = formats.filter_map(|(_, setting)| match setting {
+        Setting::Plain(Value::Text(name)) => Format::from_name(name).filter(|format| *format != Format::F32),
         _ => None,
     });
     narrow.map(|format| 2.0 * 64.0 * format.unit_roundoff()).fold(0.0, f64::max)
@@ -74,8 +74,8 @@ fn narrow_rounding(params: &Params) -> f64 {
 /// or for hardly any.
 fn hardly_ordered(params: &Params) -> bool {
     params.iter().any(|param| match param {
-        ("opaque_threshold", Value::Float(alpha)) => alpha < 0.1,
-        (_, Value::Int(size)) => size >= 33,
+        ("opaque_threshold", Setting::Plain(Value::Float(alpha))) => *alpha < 0.1,
+        (_, Setting::Plain(Value::Int(size))) => *size >= 33,
         _ => false,
     })
 }

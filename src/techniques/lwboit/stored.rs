@@ -2,7 +2,7 @@
 
 use super::{LayeredWboit, Scratch, Sharing, Slicing, locate_all};
 use crate::continuum::absorbance::absorbance;
-use crate::continuum::bins::SUPPORT;
+use crate::continuum::bins::{SUPPORT, share_out, shares_of};
 use crate::continuum::normalize::Core;
 use crate::continuum::oracle::{CHUNK, chunks};
 use crate::continuum::stored_sums::{Recipe, StoredSums};
@@ -134,7 +134,7 @@ impl Storing {
             let [r, g, b] = fragment.color.map(f64::from);
             let mut texel = [r, g, b, f64::from(fragment.alpha)];
             color.round_texel(&mut texel);
-            let [r, g, b, alpha] = texel.map(|x| color.read(x) as f32);
+            let [r, g, b, alpha] = color.read_texel(texel).map(|x| x as f32);
             (fragment.color, fragment.alpha) = ([r, g, b], alpha);
             fragment.depth = depth.read(depth.round(fragment.depth.into())) as f32;
             nodes.push(fragment);
@@ -267,18 +267,25 @@ impl LayeredWboit {
     ) {
         let (mut own, mut xs) = ([0; CHUNK], [0.0; CHUNK]);
         locate_all(self.bins, slicing, part.depth, &mut own, &mut xs);
+        let mut shares = [[0.0; CHUNK]; SUPPORT];
+        match &self.sharing {
+            Sharing::Naive => {}
+            Sharing::Coverage(function) | Sharing::Absorbance(function, _) => {
+                share_out(function, &xs[..part.len()], &mut shares);
+            }
+        }
         for (i, &weight) in weights.iter().enumerate() {
             let fragment = Part { weight, color: part.color[i], alpha: part.alpha[i] };
-            match self.sharing {
+            match &self.sharing {
                 Sharing::Naive => {
                     let coverage = f64::from(fragment.alpha);
                     stored.add(recipe, own[i], &fragment, coverage, 1.0 - coverage);
                 }
-                Sharing::Coverage(function) => {
-                    self.fade(recipe, stored, own[i], function.shares(xs[i]), &fragment);
+                Sharing::Coverage(_) => {
+                    self.fade(recipe, stored, own[i], shares_of(&shares, i), &fragment);
                 }
-                Sharing::Absorbance(function, s_max) => {
-                    self.divide_stored(recipe, stored, own[i], function.shares(xs[i]), s_max, &fragment);
+                Sharing::Absorbance(_, s_max) => {
+                    self.divide_stored(recipe, stored, own[i], shares_of(&shares, i), *s_max, &fragment);
                 }
             }
         }
