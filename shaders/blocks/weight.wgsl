@@ -14,10 +14,6 @@ struct Weight {
     unused_1: u32,
 }
 
-const LEAST_WEIGHT = 1e-30;
-const MOST_WEIGHT = 1e30;
-const LEAST_DEPTH = 1e-4;
-
 // 1 - d(z) with d of MB13 eq. 11.
 fn one_minus_window_depth(weight: Weight, z: f32) -> f32 {
     return clamp(weight.window_scale * (1.0 / z - weight.inverse_far), 0.0, 1.0);

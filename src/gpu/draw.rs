@@ -8,8 +8,8 @@ use super::recorder::{Recorder, Stage, Times};
 use crate::error::Result;
 use std::ops::Range;
 use wgpu::{
-    BindGroup, BindGroupDescriptor, BindGroupEntry, BindGroupLayout, BindingResource, BufferUsages, Color,
-    ColorWrites, LoadOp, Operations, RenderPass, RenderPassColorAttachment, StoreOp, TextureFormat,
+    BindGroup, BindGroupDescriptor, BindGroupEntry, BindGroupLayout, BindingResource, Buffer, BufferUsages,
+    Color, ColorWrites, LoadOp, Operations, RenderPass, RenderPassColorAttachment, StoreOp, TextureFormat,
     TextureUsages, TextureView, TextureViewDescriptor,
 };
 
@@ -17,12 +17,14 @@ use wgpu::{
 const TEXEL: u64 = 16;
 
 /// An image, and how long it took on the device.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct Image {
     /// Linear colour and the background's share of each pixel, or colour, nothing, the background's share per channel and
     /// nothing.
     pub texels: Vec<f32>,
     pub times: Times,
+    /// Fragments whose weight of somebody's own was no weight.
+    pub invalid_weights: u64,
 }
 
 /// A device and what has been made for it.
@@ -30,6 +32,8 @@ pub struct Image {
 pub struct Gpu {
     pub connection: Connection,
     pub layouts: Layouts,
+    /// Where shaders count fragments whose weight is none.
+    invalid_weights: Buffer,
 }
 
 pub(super) type Stop<'a> = &'a (dyn Fn() -> bool + Sync);
@@ -49,6 +53,14 @@ pub(super) fn group(
 }
 
 impl Gpu {
+    /// A device of which nothing has been asked yet.
+    pub fn new(connection: Connection) -> Self {
+        let layouts = Layouts::new(&connection.device);
+        let usage = BufferUsages::STORAGE | BufferUsages::COPY_SRC;
+        let invalid_weights = buffer(&connection, "invalid weights", 4, usage);
+        Self { connection, layouts, invalid_weights }
+    }
+
     /// What shaders know of the image, some of its rows and the technique's params.
     pub(super) fn frame(&self, picture: &Picture, rows: &Range<u32>, params: &[u32]) -> BindGroup {
         let (x, y) = picture.viewport.center();
@@ -75,6 +87,7 @@ impl Gpu {
                 BindingResource::TextureView(&picture.opaque_depth),
                 BindingResource::TextureView(&picture.opaque_color),
                 params.as_entire_binding(),
+                self.invalid_weights.as_entire_binding(),
             ],
         )
     }
@@ -85,10 +98,22 @@ impl Gpu {
     /// [`Error::Argument`] for what the device cannot do, [`Error::Memory`] for what it has no room for, [`Error::Gpu`] and
     /// [`Error::Cancelled`].
     pub fn image(&mut self, picture: &Picture, form: &Form, stop: Stop<'_>) -> Result<Image> {
-        match &form.path {
+        if form.own_weight.is_some() {
+            self.connection.queue.write_buffer(&self.invalid_weights, 0, &[0; 4]);
+        }
+        let mut image = match &form.path {
             Path::Blended(blending) => self.blended(picture, form, blending, stop),
             Path::Listed(listing) => self.listed(picture, form, listing, stop),
+        }?;
+        if form.own_weight.is_some() {
+            image.invalid_weights = self.count_invalid_weights(stop)?;
         }
+        Ok(image)
+    }
+
+    fn count_invalid_weights(&self, stop: Stop<'_>) -> Result<u64> {
+        let (count, _) = Recorder::new(&self.connection, stop).finish::<u32>(&self.invalid_weights, 4)?;
+        Ok(count.iter().map(|&n| u64::from(n)).sum())
     }
 
     pub(super) fn most_bytes(&self) -> u64 {
@@ -123,10 +148,10 @@ impl Gpu {
             &self.layouts.targets,
             &[BindingResource::TextureView(&views[0]), BindingResource::TextureView(second)],
         );
-        let mut image = Image { texels: Vec::new(), times: Times::default() };
+        let mut image = Image::default();
         for band in &bands {
             let frame = self.frame(picture, band, &params);
-            let Self { connection, layouts } = self;
+            let Self { connection, layouts, .. } = self;
             let mut recorder = Recorder::new(connection, stop);
             if band.start == 0 {
                 let targets = (&views[..], &formats[..]);

@@ -17,6 +17,8 @@ pub struct Form {
     pub numbers: Vec<Number>,
     /// How it gets its fragments.
     pub path: Path,
+    /// A depth weight of somebody's own, in the place of the published ones: its function and what calls it.
+    pub own_weight: Option<String>,
     /// Whether fragments that neither cover nor emit are shown to it.
     pub shows_zero_fragments: bool,
     /// Whether the background's share is one per channel.
@@ -161,7 +163,9 @@ pub enum Blend {
 const FRAME: &str = include_str!("../../shaders/blocks/frame.wgsl");
 const DOUBLE: &str = include_str!("../../shaders/blocks/double.wgsl");
 const FRAGMENT: &str = include_str!("../../shaders/blocks/fragment.wgsl");
+const WEIGHT_BOUNDS: &str = include_str!("../../shaders/blocks/weight_bounds.wgsl");
 const WEIGHT: &str = include_str!("../../shaders/blocks/weight.wgsl");
+const OWN_WEIGHT: &str = include_str!("../../shaders/blocks/own_weight.wgsl");
 const RESOLVE: &str = include_str!("../../shaders/blocks/resolve.wgsl");
 const LISTS: &str = include_str!("../../shaders/blocks/lists.wgsl");
 const LAYERS: &str = include_str!("../../shaders/blocks/layers.wgsl");
@@ -181,7 +185,12 @@ pub fn background_module() -> String {
 impl Form {
     /// The shader with the blocks that it may use.
     pub fn module(&self) -> String {
-        let mut parts = vec![FRAME, DOUBLE, FRAGMENT, WEIGHT, RESOLVE];
+        let mut parts = vec![FRAME, DOUBLE, FRAGMENT, WEIGHT_BOUNDS];
+        match &self.own_weight {
+            Some(own) => parts.extend([own.as_str(), OWN_WEIGHT]),
+            None => parts.push(WEIGHT),
+        }
+        parts.push(RESOLVE);
         let layers;
         if let Path::Listed(listing) = &self.path {
             parts.push(LISTS);

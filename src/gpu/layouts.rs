@@ -85,7 +85,7 @@ impl Layouts {
         Self {
             frame: layout(
                 "frame",
-                &[entry(0, uniform), entry(1, TEXTURE), entry(2, TEXTURE), entry(3, uniform)],
+                &[entry(0, uniform), entry(1, TEXTURE), entry(2, TEXTURE), entry(3, uniform), written(4)],
             ),
             geometry: layout("geometry", &[0, 1, 2].map(|binding| entry(binding, buffer(READ)))),
             targets: layout("targets", &[0, 1].map(|binding| entry(binding, TEXTURE))),

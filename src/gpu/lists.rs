@@ -5,7 +5,7 @@ use super::draw::{Gpu, Image, Stop, attachment, dispatch, draw_primitives, group
 use super::form::{Form, Listing, Sorting, list_module};
 use super::layouts::{Draws, Entry, Layouts, plain};
 use super::picture::{Picture, buffer, bytes_of, texture};
-use super::recorder::{Recorder, Stage, Times, read};
+use super::recorder::{Recorder, Stage, read};
 use crate::error::{Error, Result};
 use std::ops::Range;
 use wgpu::{
@@ -46,7 +46,7 @@ impl Gpu {
     pub fn count(&mut self, picture: &mut Picture, stop: Stop<'_>) -> Result<()> {
         let (lists, all) = (self.lists(picture, 0), 0..picture.height);
         let frame = self.frame(picture, &all, &[]);
-        let Self { connection, layouts } = self;
+        let Self { connection, layouts, .. } = self;
         let mut recorder = Recorder::new(connection, stop);
         count_fragments(connection, layouts, &mut recorder, picture, [&frame, &lists.group])?;
         picture.rows = recorder.finish(&lists.row_sums, 8 * u64::from(picture.height))?.0;
@@ -78,10 +78,10 @@ impl Gpu {
         let lists = self.lists_for(picture, &bands);
         let params: Vec<_> = form.numbers.iter().map(|number| number.bits()).collect();
         let module = form.module();
-        let mut image = Image { texels: Vec::new(), times: Times::default() };
+        let mut image = Image::default();
         for band in &bands {
             let frame = self.frame(picture, band, &params);
-            let Self { connection, layouts } = self;
+            let Self { connection, layouts, .. } = self;
             let mut recorder = Recorder::new(connection, stop);
             fill_lists(
                 connection,
@@ -116,7 +116,7 @@ impl Gpu {
         for band in &bands {
             let fragments = fragments_of(picture, band);
             let frame = self.frame(picture, band, &[]);
-            let Self { connection, layouts } = self;
+            let Self { connection, layouts, .. } = self;
             let mut recorder = Recorder::new(connection, stop);
             fill_lists(
                 connection,

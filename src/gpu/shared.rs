@@ -3,7 +3,6 @@
 use super::device::Connection;
 use super::draw::{Gpu, Image};
 use super::form::Form;
-use super::layouts::Layouts;
 use super::lists::Captured;
 use super::picture::{Picture, View};
 use crate::error::Result;
@@ -55,8 +54,7 @@ pub fn with_gpu<T>(work: impl FnOnce(&mut Shared) -> Result<T>) -> Result<T> {
     }
     if shared.is_none() {
         let connection = Connection::new()?;
-        let layouts = Layouts::new(&connection.device);
-        *shared = Some(Shared { gpu: Gpu { connection, layouts }, kept: Vec::new() });
+        *shared = Some(Shared { gpu: Gpu::new(connection), kept: Vec::new() });
     }
     let Some(shared) = shared.as_mut() else { unreachable!("just made") };
     let connection = shared.gpu.connection.clone();
@@ -96,7 +94,7 @@ impl Shared {
         primitives: impl Iterator<Item = Drawn<'a>>,
         stop: &(dyn Fn() -> bool + Sync),
     ) -> Result<()> {
-        let Gpu { connection, layouts } = &mut self.gpu;
+        let Gpu { connection, layouts, .. } = &mut self.gpu;
         let mut picture = Picture::new(connection, layouts, view, primitives)?;
         self.gpu.count(&mut picture, stop)?;
         self.kept.push(Kept { key, picture, range });

@@ -11,10 +11,12 @@ mod math;
 mod program;
 mod report;
 mod run;
+mod shader;
 mod source;
 
 pub use batch::in_batches;
 pub use program::{MAX_ITERATIONS, Program};
+pub use shader::{PREFIX, TURNS};
 pub use source::{MAX_TEXT, Source};
 
 use crate::error::Result;

@@ -5,6 +5,7 @@ use super::compile::compile;
 use super::lexer::{Token, free_names, is_identifier, tokens};
 use super::program::Program;
 use super::report::Problem;
+use super::shader;
 use naga::valid::{Capabilities, ModuleInfo, ValidationFlags, Validator};
 use naga::{Function, Handle, Module, Scalar, TypeInner};
 use std::fmt;
@@ -90,6 +91,20 @@ impl Source {
             let info = &self.parsed.info[self.parsed.entry];
             function.expressions.iter().any(|(handle, e)| argument(e) && info[handle].ref_count > 0)
         })
+    }
+
+    /// The function as part of a shader, see [`shader::written`], and the names of its arguments in their order.
+    ///
+    /// # Panics
+    /// On a bug in naga's writer.
+    pub fn shader(&self) -> (String, Vec<&str>) {
+        let Parsed { module, entry, .. } = &self.parsed;
+        let arguments = module.functions[*entry].arguments.iter();
+        let names = arguments.map(|argument| argument.name.as_deref().unwrap_or("_")).collect();
+        match shader::written(module) {
+            Ok(text) => (text, names),
+            Err(error) => panic!("{:?} cannot be written as a shader: {error}", self.text),
+        }
     }
 
     /// The program, given the value of each uniform.

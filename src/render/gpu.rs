@@ -173,6 +173,7 @@ struct Answer {
     resolve_ms: f64,
     fragments: u64,
     deepest: u64,
+    invalid_weights: u64,
 }
 
 impl Job<'_> {
@@ -231,6 +232,7 @@ impl Job<'_> {
             resolve_ms: image.times.resolve,
             fragments,
             deepest,
+            invalid_weights: image.invalid_weights,
         })
     }
 }
@@ -305,7 +307,7 @@ impl Answer {
                 geometry_passes: cost.geometry_passes,
                 bytes_per_pixel: cost.bytes_per_pixel,
                 dropped: 0,
-                invalid_weights: 0,
+                invalid_weights: self.invalid_weights,
                 skipped: vec![("duplicate_variants", u64::from(duplicate))],
                 backend: "gpu",
                 threads,

@@ -79,6 +79,7 @@ fn gpu(params: &Params, _view: &View) -> Result<Form> {
     Ok(Form {
         shader: include_str!("../../shaders/a_buffer.wgsl"),
         numbers: Vec::new(),
+        own_weight: None,
         path: Path::Listed(Listing { resolve: "composite", sorted: Sorting::Depth, layers: None }),
         shows_zero_fragments: false,
         colored_transmittance: false,

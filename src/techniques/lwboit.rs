@@ -167,9 +167,7 @@ fn gpu(params: &Params, view: &View) -> Result<Form> {
         return Err(params.error(problem, "there capacity is 0"));
     }
     only_default_formats(params, INFO.targets)?;
-    let weights = Weighting::from_params(params)?.numbers().ok_or_else(|| {
-        params.error("this weight has no form on the backend \"gpu\"", "there weights are the published ones")
-    })?;
+    let weight = Weighting::from_params(params)?.shading(params)?;
     let range = DepthRange::from_params(params, view);
     let (nearest, farthest) = match range {
         DepthRange::Pixel => (0.0, 0.0),
@@ -198,7 +196,8 @@ fn gpu(params: &Params, view: &View) -> Result<Form> {
     ];
     Ok(Form {
         shader: include_str!("../../shaders/lwboit.wgsl"),
-        numbers: weights.into_iter().chain(more).collect(),
+        numbers: weight.numbers.into_iter().chain(more).collect(),
+        own_weight: weight.own,
         path: Path::Listed(Listing { resolve: "resolve", sorted: Sorting::Depth, layers: None }),
         shows_zero_fragments: false,
         colored_transmittance: false,

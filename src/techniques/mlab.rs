@@ -64,6 +64,7 @@ fn gpu(params: &Params, _view: &View) -> Result<Form> {
     Ok(Form {
         shader: include_str!("../../shaders/mlab.wgsl"),
         numbers: vec![backwards],
+        own_weight: None,
         path: Path::Listed(Listing { resolve: "resolve", sorted, layers }),
         shows_zero_fragments: false,
         colored_transmittance: false,

@@ -103,11 +103,16 @@ fn gpu(params: &Params, _view: &View) -> Result<Form> {
         BlendTarget::sums("accumulation_format", format, 4),
         BlendTarget::product("modulation_format", modulation, 4, Blend::Multiply),
     ];
-    let weight = weighting(params)?.numbers().unwrap_or_else(|| unreachable!("it is a published one"));
+    let weight = weighting(params)?.shading(params)?;
     let more = [format.max_finite(0), params.float("divisor_floor")];
     Ok(Form {
         shader: include_str!("../../shaders/phenomenological.wgsl"),
-        numbers: weight.into_iter().chain(transmission.into_iter().chain(more).map(Number::float)).collect(),
+        numbers: weight
+            .numbers
+            .into_iter()
+            .chain(transmission.into_iter().chain(more).map(Number::float))
+            .collect(),
+        own_weight: None,
         path: Path::Blended(Blending {
             draw: "accumulate",
             resolve: "resolve",

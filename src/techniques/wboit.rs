@@ -105,10 +105,7 @@ fn gpu(params: &Params, _view: &View) -> Result<Form> {
             ("accumulate_listing3", "resolve_listing3", targets)
         }
     };
-    let weighting = Weighting::from_params(params)?;
-    let numbers = weighting.numbers().ok_or_else(|| {
-        params.error("this weight has no form on the backend \"gpu\"", "there weights are the published ones")
-    })?;
+    let weight = Weighting::from_params(params)?.shading(params)?;
     let largest_weights = formats.find("weights").map_or(f64::MAX, |format| format.max_finite(0));
     let more = [
         Number::float(format.max_finite(0)),
@@ -117,7 +114,8 @@ fn gpu(params: &Params, _view: &View) -> Result<Form> {
     ];
     Ok(Form {
         shader: include_str!("../../shaders/wboit.wgsl"),
-        numbers: numbers.into_iter().chain(more).collect(),
+        numbers: weight.numbers.into_iter().chain(more).collect(),
+        own_weight: weight.own,
         path: Path::Blended(Blending { draw, resolve, targets, over_background: false }),
         shows_zero_fragments: false,
         colored_transmittance: false,

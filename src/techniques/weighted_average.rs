@@ -65,6 +65,7 @@ fn gpu(params: &Params, _view: &View) -> Result<Form> {
     Ok(Form {
         shader: include_str!("../../shaders/weighted_average.wgsl"),
         numbers: vec![Number::float(format.max_finite(0))],
+        own_weight: None,
         path: Path::Blended(Blending {
             draw: "accumulate",
             resolve: "resolve",

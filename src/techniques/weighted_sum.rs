@@ -59,6 +59,7 @@ fn gpu(params: &Params, _view: &View) -> Result<Form> {
     Ok(Form {
         shader: include_str!("../../shaders/weighted_sum.wgsl"),
         numbers: vec![Number::float(format.max_finite(0))],
+        own_weight: None,
         path: Path::Blended(Blending {
             draw: "accumulate",
             resolve: "resolve",

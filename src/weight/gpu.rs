@@ -1,13 +1,45 @@
-//! Weights as the shaders' `Weight` has them.
+//! Weights as the shaders' `Weight` and `weight_of` have them.
 
 use super::{Formula, Function, Planes, Weighting};
+use crate::error::Result;
 use crate::gpu::form::Number;
+use crate::own::{MAX_ITERATIONS, PREFIX, Source, TURNS};
+use crate::params::{Params, Setting};
+use std::fmt::Write;
+
+/// A weight for shaders.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Shading {
+    /// The members of `Weight`.
+    pub numbers: Vec<Number>,
+    /// A function of somebody's own, as `shaders/blocks/own_weight.wgsl` calls it.
+    pub own: Option<String>,
+}
 
 impl Weighting {
-    /// The members of `Weight` in `shaders/blocks/weight.wgsl`; none for a weight that is not one of the published ones.
-    pub fn numbers(&self) -> Option<Vec<Number>> {
-        let Function::Published(formula) = &self.function else { return None };
-        let (index, k, planes) = match *formula {
+    /// The weight that `params`, of which this weighting was made, ask for.
+    ///
+    /// # Errors
+    /// `Error::Param` for a callable, which no shader can call.
+    pub fn shading(&self, params: &Params) -> Result<Shading> {
+        if let Function::Published(formula) = self.function {
+            return Ok(Shading { numbers: self.published(formula), own: None });
+        }
+        match params.setting("weight") {
+            Setting::Written(source) => {
+                let planes = Planes::from_params(params)?;
+                let numbers = self.own_numbers(planes, &params.uniforms("weight"));
+                Ok(Shading { numbers, own: Some(own_module(source)) })
+            }
+            _ => {
+                let problem = "a callable has no form on the backend \"gpu\"";
+                Err(params.error(problem, "there weight is a published one, or written in WGSL"))
+            }
+        }
+    }
+
+    fn published(&self, formula: Formula) -> Vec<Number> {
+        let (index, k, planes) = match formula {
             Formula::One => (0, 0.0, None),
             Formula::Mb7 => (1, 0.0, None),
             Formula::Mb8 => (2, 0.0, None),
@@ -23,6 +55,46 @@ impl Weighting {
         let Planes { scale, inverse_far } = planes.unwrap_or(Planes { scale: 0.0, inverse_far: 0.0 });
         let floats = [k, self.seen.scale, self.seen.shift, scale, inverse_far].map(Number::Float);
         let unused = [Number::Whole(0); 2];
-        Some([Number::Whole(index)].into_iter().chain(floats).chain(unused).collect())
+        [Number::Whole(index)].into_iter().chain(floats).chain(unused).collect()
     }
+
+    fn own_numbers(&self, planes: Planes, uniforms: &[f32]) -> Vec<Number> {
+        let seen = [self.seen.scale, self.seen.shift, planes.scale, planes.inverse_far];
+        let padding = 4 * vectors(uniforms.len()) - uniforms.len();
+        let all = seen.iter().chain(uniforms).copied().chain(std::iter::repeat_n(0.0, padding));
+        all.map(Number::Float).collect()
+    }
+}
+
+/// Vectors of four that hold so many uniforms. No array is empty.
+fn vectors(uniforms: usize) -> usize {
+    uniforms.div_ceil(4).max(1)
+}
+
+/// The function, and `own_value`, which calls it with its uniforms.
+fn own_module(source: &Source) -> String {
+    let (mut module, names) = source.shader();
+    let uniforms = source.uniforms();
+    let argument = |name: &&str| match uniforms.iter().position(|uniform| uniform == name) {
+        Some(i) => format!("weight.uniforms[{}][{}]", i / 4, i % 4),
+        None => (*name).to_owned(),
+    };
+    let arguments: Vec<_> = names.iter().map(argument).collect();
+    let written = write!(
+        module,
+        "
+const UNIFORMS = {vectors}u;
+fn own_value(weight: Weight, z: f32, a: f32, d: f32) -> f32 {{
+    {TURNS} = 0u;
+    return {PREFIX}weight({arguments});
+}}
+fn own_is_lost() -> bool {{
+    return {TURNS} >= {MAX_ITERATIONS}u;
+}}
+",
+        vectors = vectors(uniforms.len()),
+        arguments = arguments.join(", "),
+    );
+    written.unwrap_or_else(|_| unreachable!("a string takes everything"));
+    module
 }

@@ -1,0 +1,128 @@
+//! A function as part of a shader: its module under names that meet no others, its loops with an end.
+
+use super::MAX_ITERATIONS;
+use naga::back::wgsl::{WriterFlags, write_string};
+use naga::valid::{Capabilities, ValidationFlags, Validator};
+use naga::{
+    AddressSpace, BinaryOperator, Block, Expression, Function, GlobalVariable, Handle, Literal,
+    MemoryDecorations, Module, Range, Scalar, Span, Statement, Type, TypeInner,
+};
+
+/// What all names outside of functions begin with.
+pub const PREFIX: &str = "own_";
+/// The variable that counts the turns of all loops of an invocation; beyond [`MAX_ITERATIONS`] all are left.
+pub const TURNS: &str = "own_turns";
+
+/// The module as WGSL. Names outside of functions have [`PREFIX`], and every loop counts its turns in [`TURNS`].
+///
+/// # Errors
+/// What naga says, which is a bug in it or here: the module was valid.
+pub fn written(module: &Module) -> Result<String, String> {
+    let mut module = module.clone();
+    rename(&mut module);
+    let turns = count_turns(&mut module);
+    let mut functions = std::mem::take(&mut module.functions);
+    for (_, function) in functions.iter_mut() {
+        end_loops(function, turns);
+    }
+    module.functions = functions;
+    let info = Validator::new(ValidationFlags::all(), Capabilities::SHADER_FLOAT16_IN_FLOAT32)
+        .validate(&module)
+        .map_err(|error| error.to_string())?;
+    write_string(&module, &info, WriterFlags::empty()).map_err(|error| error.to_string())
+}
+
+fn rename(module: &mut Module) {
+    let prefixed = |name: &mut Option<String>, kind: &str, i: usize| {
+        *name = Some(format!("{PREFIX}{}", name.clone().unwrap_or_else(|| format!("{kind}{i}_"))));
+    };
+    for (i, (_, function)) in module.functions.iter_mut().enumerate() {
+        prefixed(&mut function.name, "function", i);
+    }
+    for (i, (_, constant)) in module.constants.iter_mut().enumerate() {
+        prefixed(&mut constant.name, "constant", i);
+    }
+    let structs: Vec<_> = module
+        .types
+        .iter()
+        .filter(|(_, ty)| matches!(ty.inner, TypeInner::Struct { .. }))
+        .map(|(handle, ty)| (handle, ty.clone()))
+        .collect();
+    for (i, (handle, mut ty)) in structs.into_iter().enumerate() {
+        prefixed(&mut ty.name, "type", i);
+        module.types.replace(handle, ty);
+    }
+}
+
+fn count_turns(module: &mut Module) -> Handle<GlobalVariable> {
+    let word = Type { name: None, inner: TypeInner::Scalar(Scalar::U32) };
+    let ty = module.types.insert(word, Span::UNDEFINED);
+    let variable = GlobalVariable {
+        name: Some(TURNS.to_owned()),
+        space: AddressSpace::Private,
+        binding: None,
+        ty,
+        init: None,
+        memory_decorations: MemoryDecorations::empty(),
+    };
+    module.global_variables.append(variable, Span::UNDEFINED)
+}
+
+fn end_loops(function: &mut Function, turns: Handle<GlobalVariable>) {
+    let mut body = std::mem::take(&mut function.body);
+    end_loops_in(&mut body, function, turns);
+    function.body = body;
+}
+
+fn end_loops_in(block: &mut Block, function: &mut Function, turns: Handle<GlobalVariable>) {
+    for statement in block.iter_mut() {
+        match statement {
+            Statement::Block(block) => end_loops_in(block, function, turns),
+            Statement::If { accept, reject, .. } => {
+                end_loops_in(accept, function, turns);
+                end_loops_in(reject, function, turns);
+            }
+            Statement::Switch { cases, .. } => {
+                cases.iter_mut().for_each(|case| end_loops_in(&mut case.body, function, turns));
+            }
+            Statement::Loop { body, continuing, .. } => {
+                end_loops_in(body, function, turns);
+                end_loops_in(continuing, function, turns);
+                leave_when_lost(body, function, turns);
+                count_turn(continuing, function, turns);
+            }
+            _ => {}
+        }
+    }
+}
+
+/// `if own_turns >= MAX_ITERATIONS { break; }` before everything else.
+fn leave_when_lost(body: &mut Block, function: &mut Function, turns: Handle<GlobalVariable>) {
+    let mut add = |expression| function.expressions.append(expression, Span::UNDEFINED);
+    let pointer = add(Expression::GlobalVariable(turns));
+    let right = add(Expression::Literal(Literal::U32(MAX_ITERATIONS)));
+    let left = add(Expression::Load { pointer });
+    let condition = add(Expression::Binary { op: BinaryOperator::GreaterEqual, left, right });
+    let leave = Block::from_vec(vec![Statement::Break]);
+    let mut statements = Block::from_vec(vec![
+        Statement::Emit(Range::new_from_bounds(left, condition)),
+        Statement::If { condition, accept: leave, reject: Block::new() },
+    ]);
+    statements.append(body);
+    *body = statements;
+}
+
+/// `own_turns += 1;` before another turn.
+fn count_turn(continuing: &mut Block, function: &mut Function, turns: Handle<GlobalVariable>) {
+    let mut add = |expression| function.expressions.append(expression, Span::UNDEFINED);
+    let pointer = add(Expression::GlobalVariable(turns));
+    let right = add(Expression::Literal(Literal::U32(1)));
+    let left = add(Expression::Load { pointer });
+    let value = add(Expression::Binary { op: BinaryOperator::Add, left, right });
+    let mut statements = Block::from_vec(vec![
+        Statement::Emit(Range::new_from_bounds(left, value)),
+        Statement::Store { pointer, value },
+    ]);
+    statements.append(continuing);
+    *continuing = statements;
+}
