@@ -20,7 +20,7 @@ from harness import Run
 from peers import PEERS
 
 PARTS = {"peers": "against_peers", "pareto": "pareto", "scaling": "scaling", "skips": "skips",
-         "memory": "memory", "sweep": "sweep_time", "weights": "weights"}  # fmt: skip
+         "memory": "memory", "sweep": "sweep_time", "weights": "weights", "gpu": "gpu"}  # fmt: skip
 
 
 def main() -> None:

@@ -79,31 +79,37 @@ def _cost(found: dict[str, float]) -> str:
     return f"**{text}**" if found["times_wboit"] > SLOW else text
 
 
+def draw_front(axes: Any, name: str, row: dict[str, Any]) -> None:
+    """All techniques on one scene, the front joined and named, floating-point noise drawn at 1e-7."""
+    from matplotlib.ticker import LogLocator, NullFormatter
+
+    found = row["techniques"]
+    spots = {n: (found[n]["median_ms"], max(found[n]["rmse"], 1e-7)) for n in found}
+    axes.scatter(*zip(*spots.values(), strict=True), s=12, color="#777777")
+    line = [spots[n] for n in row["pareto_front"]]
+    axes.step(*zip(*line, strict=True), where="post", color="#0072B2", marker="o", markersize=4)
+    for i, n in enumerate(row["pareto_front"]):
+        below = (4, -10 if i % 2 else 4)  # the next one on the front may be close by
+        axes.annotate(n, spots[n], xytext=below, textcoords="offset points", fontsize=7, color="#0072B2")
+    axes.set(xscale="log", yscale="log", title=f"{name}, {row['fragments'] / 1e6:.3g} M fragments")
+    axes.set(xlabel="milliseconds", ylabel="RMSE")
+    axes.margins(0.15)
+    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.xaxis.set_major_formatter(lambda x, _: f"{x:g}")
+    axes.xaxis.set_minor_formatter(NullFormatter())
+
+
 def draw(results: dict[str, Any], run: Run) -> None:
-    """One panel per scene: all techniques, the front joined and named, floating-point noise drawn at 1e-7."""
+    """One panel per scene."""
     import matplotlib as mpl
 
     mpl.use("Agg")
     import matplotlib.pyplot as plt
-    from matplotlib.ticker import LogLocator, NullFormatter
 
     plot_style()
     figure, panels = plt.subplots(2, 3, figsize=(11, 7))
     for axes, (name, row) in zip(panels.flat, results.items(), strict=False):
-        found = row["techniques"]
-        spots = {n: (found[n]["median_ms"], max(found[n]["rmse"], 1e-7)) for n in found}
-        axes.scatter(*zip(*spots.values(), strict=True), s=12, color="#777777")
-        line = [spots[n] for n in row["pareto_front"]]
-        axes.step(*zip(*line, strict=True), where="post", color="#0072B2", marker="o", markersize=4)
-        for i, n in enumerate(row["pareto_front"]):
-            below = (4, -10 if i % 2 else 4)  # the next one on the front may be close by
-            axes.annotate(n, spots[n], xytext=below, textcoords="offset points", fontsize=7, color="#0072B2")
-        axes.set(xscale="log", yscale="log", title=f"{name}, {row['fragments'] / 1e6:.3g} M fragments")
-        axes.set(xlabel="milliseconds", ylabel="RMSE")
-        axes.margins(0.15)
-        axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-        axes.xaxis.set_major_formatter(lambda x, _: f"{x:g}")
-        axes.xaxis.set_minor_formatter(NullFormatter())
+        draw_front(axes, name, row)
     panels.flat[-1].axis("off")
     panels.flat[-1].text(0, 0.7, "Every technique, default params.\nBlue: the Pareto front.\n"
                          "Errors below 1e-7 are drawn at 1e-7.", fontsize=9)  # fmt: skip

@@ -94,6 +94,9 @@ def scenes() -> Iterator[tuple[str, oitlab.Scene]]:
     yield "empty", scene_of()
 
 
+PARAMS: dict[str, dict[str, Any]] = {"lwboit": {"storage": "ll"}}
+"""What techniques need besides their defaults to have a form."""
+
 SCENES = dict(scenes()) if DEVICE else {}
 CLIPPED = ("near plane", "guard band", "clipped and smooth")
 

@@ -10,9 +10,11 @@ from typing import Any
 import pytest
 
 import oitlab
+from gpu_scenes import DEVICE
 
 BENCHES = Path(__file__).parents[1] / "benches"
 SCENES = ["squares", "soup", "smoke", "shells", "blades"]
+HAS_GPU = DEVICE is not None
 
 
 @pytest.fixture(scope="module")
@@ -22,7 +24,16 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     command = [sys.executable, "-W", "error", str(BENCHES / "bench.py"), "--quick", "--output", str(folder)]
     finished = subprocess.run([*command, "--peers", "embree", "ppll"], capture_output=True, text=True)
     assert finished.returncode == 0, finished.stderr
-    parts = ("peers", "pareto", "scaling", "skips", "memory", "sweep", "weights")
+    parts = (
+        "peers",
+        "pareto",
+        "scaling",
+        "skips",
+        "memory",
+        "sweep",
+        "weights",
+        *(["gpu"] if HAS_GPU else []),
+    )
     found = {part: json.loads((folder / f"{part}.json").read_text()) for part in parts}
     for part in parts:
         assert {"command", "date", "commit", "cpu", "cores", "versions"} <= found[part]["about"].keys()
@@ -121,3 +132,21 @@ def test_sweeps_have_all_their_points_and_a_best_one(bench: dict[str, Any]) -> N
         assert row["again_seconds"] < row["seconds"]
         assert 0 < row["best"]["mse"] <= row["worst"]["mse"]
     assert bench["sweep"]["one_by_one"]["same_mse"]
+
+
+@pytest.mark.skipif(not HAS_GPU, reason="no device")
+def test_the_device_is_measured_beside_the_cpu(bench: dict[str, Any]) -> None:
+    found = bench["gpu"]
+    assert DEVICE is not None
+    assert found["device"]["adapter"] == DEVICE.adapter
+    (rows,) = found["sizes"].values()
+    assert list(rows) == SCENES
+    for row in rows.values():
+        assert {"wboit", "lwboit", "a_buffer"} <= row["techniques"].keys()
+        assert row["techniques"]["a_buffer"]["rmse"] < 1e-6
+        for technique in row["techniques"].values():
+            assert technique["off_cpu"] < 1e-3
+            assert abs(technique["rmse"] - technique["rmse_cpu"]) < 1e-4
+            assert technique["call_ms"] > 0
+        assert set(row["pareto_front"]) <= row["techniques"].keys()
+    assert all("ll" in row for row in found["storages"].values())

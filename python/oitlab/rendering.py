@@ -59,7 +59,7 @@ def render(
         `oitlab.techniques()` says "str or callable" (`weight`, `bin_function`) functions of one's own are
         taken, see the notes.
     backend : {"cpu", "gpu"}
-        "cpu" is the definition. A technique without a GPU form refuses "gpu", which takes scenes alone and
+        "cpu" is the definition. A technique without a GPU form refuses "gpu", which
         computes in single precision; times in `Frame.stats` are the device's, `total_ms` is that of the call.
     threads : int >= 1, optional
         All cores when absent. The image never depends on it.

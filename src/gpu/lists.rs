@@ -4,7 +4,7 @@ use super::device::Connection;
 use super::draw::{Gpu, Image, Stop, attachment, dispatch, draw_primitives, group, resolve};
 use super::form::{Form, Listing, Sorting, list_module};
 use super::layouts::{Draws, Entry, Layouts, plain};
-use super::picture::{Picture, buffer, bytes_of, texture};
+use super::picture::{Given, Picture, buffer, bytes_of, texture};
 use super::recorder::{Recorder, Stage, read};
 use crate::error::{Error, Result};
 use std::ops::Range;
@@ -21,21 +21,11 @@ const KEY: u64 = 8;
 /// The buffers of lists, by their bindings.
 struct ListBuffers {
     group: BindGroup,
+    places: Buffer,
     row_sums: Buffer,
     row_places: Buffer,
     keys: Buffer,
     colors: Buffer,
-}
-
-/// Every fragment, row by row and pixel by pixel, as they were submitted.
-#[derive(Debug, Default)]
-pub struct Captured {
-    /// Fragments per pixel.
-    pub counts: Vec<u32>,
-    /// The bits of the depth, and the primitive.
-    pub keys: Vec<[u32; 2]>,
-    /// Premultiplied colour and coverage.
-    pub colors: Vec<[f32; 4]>,
 }
 
 impl Gpu {
@@ -63,7 +53,7 @@ impl Gpu {
         let (keys, colors) = (storage("keys", KEY * fragments), storage("colors", COLOR * fragments));
         let all = [&picture.counts, &places, &row_sums, &row_places, &keys, &colors];
         let group = group(&self.connection, &self.layouts.lists, &all.map(Buffer::as_entire_binding));
-        ListBuffers { group, row_sums, row_places, keys, colors }
+        ListBuffers { group, places, row_sums, row_places, keys, colors }
     }
 
     /// Lists of all fragments, in as many parts of the image as their number asks for.
@@ -83,15 +73,12 @@ impl Gpu {
             let frame = self.frame(picture, band, &params);
             let Self { connection, layouts, .. } = self;
             let mut recorder = Recorder::new(connection, stop);
-            fill_lists(
-                connection,
-                layouts,
-                &mut recorder,
-                picture,
-                [&frame, &lists.group],
-                band,
-                listing.sorted,
-            )?;
+            let groups = [&frame, &lists.group];
+            match &picture.given {
+                Some(given) => lists.fill(connection, given, picture, band),
+                None => draw_lists(connection, layouts, &mut recorder, picture, groups, band)?,
+            }
+            sort_lists(connection, layouts, &mut recorder, picture, groups, band, listing.sorted)?;
             let pipeline = layouts.compute(
                 &connection.device,
                 Entry { module: &module, point: listing.resolve },
@@ -99,7 +86,6 @@ impl Gpu {
                 true,
                 &[],
             );
-            let groups = [&frame, &lists.group];
             resolve(connection, layouts, recorder, picture, form, band, &pipeline, groups, &mut image)?;
         }
         Ok(image)
@@ -109,24 +95,18 @@ impl Gpu {
     ///
     /// # Errors
     /// As [`Gpu::image`].
-    pub fn capture(&mut self, picture: &Picture, stop: Stop<'_>) -> Result<Captured> {
+    pub fn capture(&mut self, picture: &Picture, stop: Stop<'_>) -> Result<Given> {
         let bands = self.bands_of_fragments(picture, u32::MAX)?;
         let lists = self.lists_for(picture, &bands);
-        let mut captured = Captured::default();
+        let mut captured = Given::default();
         for band in &bands {
             let fragments = fragments_of(picture, band);
             let frame = self.frame(picture, band, &[]);
             let Self { connection, layouts, .. } = self;
             let mut recorder = Recorder::new(connection, stop);
-            fill_lists(
-                connection,
-                layouts,
-                &mut recorder,
-                picture,
-                [&frame, &lists.group],
-                band,
-                Sorting::Submission,
-            )?;
+            let groups = [&frame, &lists.group];
+            draw_lists(connection, layouts, &mut recorder, picture, groups, band)?;
+            sort_lists(connection, layouts, &mut recorder, picture, groups, band, Sorting::Submission)?;
             // all counts come once, with the last band
             let last = band.end == picture.height;
             let counts = if last { 4 * u64::from(picture.width) * u64::from(picture.height) } else { 0 };
@@ -192,15 +172,34 @@ fn fragments_of(picture: &Picture, rows: &Range<u32>) -> u64 {
     picture.rows[rows.start as usize..rows.end as usize].iter().map(|row| u64::from(row[0])).sum()
 }
 
-/// Stores and sorts the fragments of some rows.
-fn fill_lists(
+impl ListBuffers {
+    /// Takes fragments that are there already to the device, those of some rows.
+    #[expect(clippy::cast_possible_truncation, reason = "what a buffer holds is counted in 32 bits")]
+    fn fill(&self, connection: &Connection, given: &Given, picture: &Picture, band: &Range<u32>) {
+        let first = fragments_of(picture, &(0..band.start)) as usize;
+        let these = first..first + fragments_of(picture, band) as usize;
+        let width = picture.width as usize;
+        let pixels = band.start as usize * width..band.end as usize * width;
+        let mut end = 0;
+        let ends = given.counts[pixels.clone()].iter().map(|count| {
+            end += count;
+            end
+        });
+        let ends: Vec<u32> = ends.collect();
+        connection.queue.write_buffer(&self.places, 4 * pixels.start as u64, bytes_of(&ends));
+        connection.queue.write_buffer(&self.keys, 0, bytes_of(&given.keys[these.clone()]));
+        connection.queue.write_buffer(&self.colors, 0, bytes_of(&given.colors[these]));
+    }
+}
+
+/// Stores the fragments of some rows.
+fn draw_lists(
     connection: &Connection,
     layouts: &mut Layouts,
     recorder: &mut Recorder<'_>,
     picture: &Picture,
     [frame, lists]: [&BindGroup; 2],
     band: &Range<u32>,
-    sorting: Sorting,
 ) -> Result<()> {
     if band.start == 0 {
         // once more than their number is asked for, so that the time is that of a frame
@@ -210,10 +209,27 @@ fn fill_lists(
     let entry = |point| Entry { module: &module, point };
     let shift = layouts.compute(&connection.device, entry("shift_rows"), true, false, &[]);
     dispatch(recorder, Stage::Raster, &shift, &[frame, lists], picture, band)?;
-    draw_into_lists(connection, layouts, recorder, picture, "store_fragment", [frame, lists], band)?;
+    draw_into_lists(connection, layouts, recorder, picture, "store_fragment", [frame, lists], band)
+}
+
+/// Sorts the lists of some rows.
+fn sort_lists(
+    connection: &Connection,
+    layouts: &mut Layouts,
+    recorder: &mut Recorder<'_>,
+    picture: &Picture,
+    groups: [&BindGroup; 2],
+    band: &Range<u32>,
+    sorting: Sorting,
+) -> Result<()> {
+    if sorting == Sorting::Submission && picture.given.is_some() {
+        return Ok(()); // as they came
+    }
+    let module = list_module();
+    let entry = |point| Entry { module: &module, point };
     let by_submission = [("by_submission", f64::from(u8::from(sorting == Sorting::Submission)))];
     let sort = layouts.compute(&connection.device, entry("sort_lists"), true, false, &by_submission);
-    dispatch(recorder, Stage::Resolve, &sort, &[frame, lists], picture, band)
+    dispatch(recorder, Stage::Resolve, &sort, &groups, picture, band)
 }
 
 /// How many fragments each pixel and each row has, and where in its row each pixel's go.

@@ -26,8 +26,6 @@ mod shared;
 #[cfg(feature = "gpu")]
 pub use info::{Info, info};
 #[cfg(feature = "gpu")]
-pub(crate) use lists::Captured;
-#[cfg(feature = "gpu")]
-pub(crate) use picture::{Opaque, View};
+pub(crate) use picture::{Given, Opaque, View};
 #[cfg(feature = "gpu")]
 pub(crate) use shared::{Key, Shared, with_gpu};

@@ -30,6 +30,17 @@ pub struct View {
     pub opaque: Option<Opaque>,
 }
 
+/// Every fragment of an image, pixel by pixel as they were submitted.
+#[derive(Debug, Default)]
+pub struct Given {
+    /// Fragments per pixel.
+    pub counts: Vec<u32>,
+    /// The bits of the depth, and the primitive.
+    pub keys: Vec<[u32; 2]>,
+    /// Premultiplied colour and coverage.
+    pub colors: Vec<[f32; 4]>,
+}
+
 /// A scene on the device, in one order of its primitives.
 #[derive(Debug)]
 pub struct Picture {
@@ -47,6 +58,8 @@ pub struct Picture {
     pub counts: Buffer,
     /// Fragments of each row, and of its deepest pixel; empty until they have been counted.
     pub rows: Vec<[u32; 2]>,
+    /// Fragments that are there already, instead of primitives.
+    pub given: Option<Given>,
     /// Bytes on the device.
     pub bytes: u64,
 }
@@ -144,9 +157,28 @@ impl Picture {
             batches: Vec::new(),
             counts: buffer(connection, "counts", 4 * pixels, BufferUsages::STORAGE | BufferUsages::COPY_SRC),
             rows: Vec::new(),
+            given: None,
             bytes: 4 * pixels + if view.opaque.is_some() { 20 * pixels } else { 0 },
         };
         picture.add_primitives(connection, layouts, primitives);
+        Ok(picture)
+    }
+
+    /// The same of fragments that are there already.
+    ///
+    /// # Errors
+    /// As [`Picture::new`].
+    pub fn of_fragments(
+        connection: &Connection,
+        layouts: &Layouts,
+        view: &View,
+        given: Given,
+    ) -> Result<Self> {
+        let mut picture = Self::new(connection, layouts, view, std::iter::empty())?;
+        connection.queue.write_buffer(&picture.counts, 0, bytes_of(&given.counts));
+        let row = |counts: &[u32]| [counts.iter().sum(), counts.iter().copied().max().unwrap_or(0)];
+        picture.rows = given.counts.chunks(view.width as usize).map(row).collect();
+        picture.given = Some(given);
         Ok(picture)
     }
 

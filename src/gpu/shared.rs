@@ -3,8 +3,7 @@
 use super::device::Connection;
 use super::draw::{Gpu, Image};
 use super::form::Form;
-use super::lists::Captured;
-use super::picture::{Picture, View};
+use super::picture::{Given, Picture, View};
 use crate::error::Result;
 use crate::order::SubmissionOrder;
 use crate::params;
@@ -18,6 +17,8 @@ pub struct Key {
     pub scene: blake3::Hash,
     /// The order of its primitives.
     pub order: SubmissionOrder,
+    /// Whether it is fragments that are kept as lists, not drawn.
+    pub listed: bool,
 }
 
 /// Bytes of scenes that stay on the device between calls, and how many of them.
@@ -97,12 +98,27 @@ impl Shared {
         let Gpu { connection, layouts, .. } = &mut self.gpu;
         let mut picture = Picture::new(connection, layouts, view, primitives)?;
         self.gpu.count(&mut picture, stop)?;
+        self.keep(key, picture, range);
+        Ok(())
+    }
+
+    /// Takes fragments to the device.
+    ///
+    /// # Errors
+    /// As [`Shared::load`].
+    pub fn load_fragments(&mut self, key: Key, range: params::View, view: &View, given: Given) -> Result<()> {
+        let Gpu { connection, layouts, .. } = &self.gpu;
+        let picture = Picture::of_fragments(connection, layouts, view, given)?;
+        self.keep(key, picture, range);
+        Ok(())
+    }
+
+    fn keep(&mut self, key: Key, picture: Picture, range: params::View) {
         self.kept.push(Kept { key, picture, range });
         let bytes = |kept: &[Kept]| kept.iter().map(|kept| kept.picture.bytes).sum::<u64>();
         while self.kept.len() > 1 && (self.kept.len() > KEPT.1 || bytes(&self.kept) > KEPT.0) {
             self.kept.remove(0);
         }
-        Ok(())
     }
 
     /// Draws a scene that is on the device; the image, and the scene's fragments and those of its deepest pixel.
@@ -127,7 +143,7 @@ impl Shared {
     ///
     /// # Errors
     /// The device's own, and [`crate::Error::Memory`] for a row of more fragments than fit into one of its buffers.
-    pub fn capture(&mut self, key: Key, stop: &(dyn Fn() -> bool + Sync)) -> Result<Option<Captured>> {
+    pub fn capture(&mut self, key: Key, stop: &(dyn Fn() -> bool + Sync)) -> Result<Option<Given>> {
         let Some(kept) = self.kept.iter().find(|kept| kept.key == key) else { return Ok(None) };
         self.gpu.capture(&kept.picture, stop).map(Some)
     }

@@ -1,4 +1,5 @@
-//! Rendering on the GPU: the CPU sets scenes up and draws their opaque surfaces, the device does the rest.
+//! Rendering on the GPU: the CPU sets scenes up and draws their opaque surfaces, the device does the rest. Fragments that
+//! are there already are taken there as lists, or drawn as triangles of one pixel each where blend units want that.
 
 use super::request::Asked;
 use super::{Options, Request, Source, with_threads};
@@ -6,10 +7,11 @@ use crate::error::{Error, Result};
 use crate::fragments::{Background, Fragment, Fragments, Lists};
 use crate::frame::{Frame, Image, Sample, Stats};
 use crate::gpu::form::{Form, Path};
-use crate::gpu::{Captured, Key, Opaque, Shared, View, with_gpu};
+use crate::gpu::{Given, Key, Opaque, Shared, View, with_gpu};
+use crate::order::Reorderer;
 use crate::order::{CentroidOrder, SubmissionOrder};
 use crate::params::{self, Params};
-use crate::raster::{self, Raster, Tile};
+use crate::raster::{self, Drawn, Linear, Outline, Paint, Raster, Tile};
 use crate::resolve::Variant;
 use crate::scene::Scene;
 use crate::technique::DepthComplexity;
@@ -41,23 +43,23 @@ pub fn render_on_gpu(
     stop: &(dyn Fn() -> bool + Sync),
 ) -> Result<Vec<Frame>> {
     let asked = requests.iter().map(Request::check).collect::<Result<Vec<_>>>()?;
-    let Source::Scene(scene) = source else {
-        return Err(Error::argument("backend", "\"gpu\" takes scenes; fragments are rendered on \"cpu\""));
+    let provisional = match source {
+        Source::Scene(scene) => raster::provisional_view(scene),
+        Source::Fragments(fragments) => fragments.view,
     };
-    let provisional = raster::provisional_view(scene);
-    asked.iter().try_for_each(|asked| bound(asked, &provisional).map(drop))?;
+    asked.iter().try_for_each(|asked| bound(asked, source, &provisional).map(drop))?;
     if asked.is_empty() {
         return Ok(Vec::new());
     }
     let start = Instant::now();
     with_threads(options.threads, |threads| {
         with_gpu(|shared| {
-            let mut job = Job { scene, shared, hash: scene.content_hash(), stop };
+            let mut job = Job::new(source, shared, stop);
             let range = job.range()?;
             let mut answers: Vec<(Bound, Answer)> = Vec::new();
             let mut frames = Vec::new();
             for asked in &asked {
-                let bound = bound(asked, &range)?;
+                let bound = bound(asked, source, &range)?;
                 let same = |(other, _): &(Bound, Answer)| other.variant.is_same(&bound.variant);
                 let known = if options.skip { answers.iter().position(same) } else { None };
                 let params = bound.variant.params.clone();
@@ -69,7 +71,7 @@ pub fn render_on_gpu(
                     answers.len() - 1
                 };
                 let (bound, answer) = &answers[place];
-                frames.push(answer.frame(scene, &bound.variant, params, known.is_some(), threads));
+                frames.push(answer.frame(job.size, &bound.variant, params, known.is_some(), threads));
             }
             if let [frame] = &mut frames[..] {
                 frame.stats.total_ms = start.elapsed().as_secs_f64() * 1e3;
@@ -92,9 +94,9 @@ pub fn capture_on_gpu(
 ) -> Result<Fragments> {
     with_threads(options.threads, |_| {
         let (captured, range) = with_gpu(|shared| {
-            let mut job = Job { scene, shared, hash: scene.content_hash(), stop };
-            let key = Key { scene: job.hash, order: SubmissionOrder::AsIs };
-            let range = if job.shared.has(key) { job.range()? } else { job.load(key.order)? };
+            let mut job = Job::new(Source::Scene(scene), shared, stop);
+            let key = job.key(SubmissionOrder::AsIs, true);
+            let range = if job.shared.has(key) { job.range()? } else { job.load(key)? };
             let Some(captured) = job.shared.capture(key, stop)? else { unreachable!("it was loaded") };
             Ok((captured, range))
         })?;
@@ -113,7 +115,7 @@ pub fn capture_on_gpu(
     })
 }
 
-fn lists_of(captured: &Captured) -> Lists {
+fn lists_of(captured: &Given) -> Lists {
     let mut lists = Lists::new();
     let mut fragments = captured.keys.iter().zip(&captured.colors);
     for &count in &captured.counts {
@@ -129,7 +131,7 @@ fn has_opaque(scene: &Scene) -> bool {
     scene.meshes().iter().any(|mesh| !mesh.material().is_transparent())
 }
 
-fn bound(asked: &Asked, view: &params::View) -> Result<Bound> {
+fn bound(asked: &Asked, source: Source<'_>, view: &params::View) -> Result<Bound> {
     let (id, make) = match asked {
         Asked::Registered(info, _) => (info.id, info.gpu),
         Asked::Custom(custom) => (custom.id, None),
@@ -144,7 +146,7 @@ fn bound(asked: &Asked, view: &params::View) -> Result<Bound> {
         Path::Listed(_) => SubmissionOrder::AsIs,
         Path::Blended(_) => variant.order,
     };
-    if !order.is_of_primitives() {
+    if matches!(source, Source::Scene(_)) && !order.is_of_primitives() {
         let given = variant.params.text("submission_order");
         let problem = format!(
             "submission_order={given:?} sorts fragments, which blend units of the backend \"gpu\" cannot"
@@ -156,11 +158,13 @@ fn bound(asked: &Asked, view: &params::View) -> Result<Bound> {
     Ok(Bound { variant, form, order })
 }
 
-/// A scene on its way through the device.
+/// A scene or fragments on their way through the device.
 struct Job<'a> {
-    scene: &'a Scene,
+    source: Source<'a>,
     shared: &'a mut Shared,
     hash: blake3::Hash,
+    /// Width and height.
+    size: (u32, u32),
     stop: &'a (dyn Fn() -> bool + Sync),
 }
 
@@ -176,17 +180,53 @@ struct Answer {
     invalid_weights: u64,
 }
 
-impl Job<'_> {
+impl<'a> Job<'a> {
+    fn new(source: Source<'a>, shared: &'a mut Shared, stop: &'a (dyn Fn() -> bool + Sync)) -> Self {
+        let (hash, size) = match source {
+            Source::Scene(scene) => (scene.content_hash(), (scene.width(), scene.height())),
+            Source::Fragments(fragments) => (fragments.content_hash(), (fragments.width, fragments.height)),
+        };
+        Self { source, shared, hash, size, stop }
+    }
+
+    /// What is on the device for a form of lists, or one that draws in this order.
+    fn key(&self, order: SubmissionOrder, listed: bool) -> Key {
+        Key { scene: self.hash, order, listed: listed && matches!(self.source, Source::Fragments(_)) }
+    }
+
     /// Near, far and the depth range, which some params' defaults follow.
     fn range(&mut self) -> Result<params::View> {
-        match self.shared.range(self.hash) {
-            Some(range) => Ok(range),
-            None => self.load(SubmissionOrder::AsIs),
+        match (self.source, self.shared.range(self.hash)) {
+            (Source::Fragments(fragments), _) => Ok(fragments.view),
+            (_, Some(range)) => Ok(range),
+            (_, None) => self.load(self.key(SubmissionOrder::AsIs, true)),
         }
     }
 
-    fn load(&mut self, order: SubmissionOrder) -> Result<params::View> {
-        let (scene, stop) = (self.scene, self.stop);
+    fn load(&mut self, key: Key) -> Result<params::View> {
+        match self.source {
+            Source::Scene(scene) => self.load_scene(scene, key),
+            Source::Fragments(fragments) => {
+                self.load_fragments(fragments, key)?;
+                Ok(fragments.view)
+            }
+        }
+    }
+
+    fn load_fragments(&mut self, fragments: &Fragments, key: Key) -> Result<()> {
+        let view = view_of(fragments);
+        if key.listed {
+            return self.shared.load_fragments(key, fragments.view, &view, given(fragments));
+        }
+        let centroids = (key.order == SubmissionOrder::Centroid).then(|| fragments.centroid_order());
+        let mut reordered = Lists::new();
+        let lists = fragments.lists.as_ref();
+        Reorderer::default().reorder(lists, key.order, centroids.as_ref(), &mut reordered);
+        self.shared.load(key, fragments.view, &view, points(&reordered, fragments.width), self.stop)
+    }
+
+    fn load_scene(&mut self, scene: &Scene, key: Key) -> Result<params::View> {
+        let (order, stop) = (key.order, self.stop);
         // the whole image is one tile, so that every primitive comes once
         let raster = Raster::new(scene, scene.width().max(scene.height()), stop);
         let opaque = has_opaque(scene).then(|| opaque_surfaces(scene, stop));
@@ -202,7 +242,7 @@ impl Job<'_> {
             background: scene.background(),
             opaque,
         };
-        let (key, range) = (Key { scene: self.hash, order }, raster.view());
+        let range = raster.view();
         if order == SubmissionOrder::AsIs {
             self.shared.load(key, range, &view, raster.drawn(), stop)?;
         } else {
@@ -216,9 +256,9 @@ impl Job<'_> {
     }
 
     fn answer(&mut self, bound: &Bound) -> Result<Answer> {
-        let key = Key { scene: self.hash, order: bound.order };
+        let key = self.key(bound.order, matches!(bound.form.path, Path::Listed(_)));
         if !self.shared.has(key) {
-            self.load(bound.order)?;
+            self.load(key)?;
         }
         let drawn = self.shared.draw(key, &bound.form, self.stop)?;
         let Some((image, (fragments, deepest))) = drawn else { unreachable!("it was loaded") };
@@ -276,24 +316,72 @@ fn opaque_surfaces(scene: &Scene, stop: &(dyn Fn() -> bool + Sync)) -> Opaque {
     opaque
 }
 
+/// Fragments as the device has them before they are drawn.
+fn view_of(fragments: &Fragments) -> View {
+    let (background, opaque) = match &fragments.background {
+        Background::Constant(color) => (*color, None),
+        Background::Image(colors) => {
+            let color = colors.iter().map(|&[r, g, b]| [r, g, b, 1.0]).collect();
+            ([0.0; 3], Some(Opaque { depth: vec![f32::INFINITY; colors.len()], color }))
+        }
+    };
+    View { width: fragments.width, height: fragments.height, perspective: false, background, opaque }
+}
+
+fn given(fragments: &Fragments) -> Given {
+    let lists = fragments.lists.as_ref();
+    #[expect(clippy::cast_possible_truncation, reason = "a pixel's list is far shorter than 2^32")]
+    let counts = (0..lists.len()).map(|pixel| lists.count(pixel) as u32).collect();
+    // adding zero makes -0 the 0 that it equals
+    let keys = lists.all.iter().map(|f| [(f.depth + 0.0).to_bits(), f.primitive]).collect();
+    let colors = lists.all.iter().map(|f| [f.color[0], f.color[1], f.color[2], f.alpha]).collect();
+    Given { counts, keys, colors }
+}
+
+/// Every fragment as a triangle that covers the centre of its pixel and no other.
+fn points(lists: &Lists, width: u32) -> impl Iterator<Item = Drawn<'_>> {
+    const LEG: i32 = 384;
+    let width = width as usize;
+    let lists = lists.as_ref();
+    (0..lists.len()).flat_map(move |pixel| {
+        #[expect(clippy::cast_possible_truncation, clippy::cast_possible_wrap, reason = "pixels of an image")]
+        let (x, y) = ((pixel % width) as i32, (pixel / width) as i32);
+        let row = lists.row(pixel);
+        (0..row.len()).map(move |i| {
+            let fragment = row.get(i);
+            let (left, top) = (256 * x, 256 * y);
+            let [r, g, b] = fragment.color;
+            Drawn {
+                primitive: fragment.primitive,
+                outline: Outline::Triangle([(left, top), (left + LEG, top), (left, top + LEG)]),
+                anchor: (x, y),
+                depth: Linear::default(),
+                weights: [Linear::default(); 3],
+                range: (fragment.depth.into(), fragment.depth.into()),
+                paint: Paint::Flat([r, g, b, fragment.alpha]),
+            }
+        })
+    })
+}
+
 impl Answer {
     fn frame(
         &self,
-        scene: &Scene,
+        (width, height): (u32, u32),
         variant: &Variant,
         params: Params,
         duplicate: bool,
         threads: usize,
     ) -> Frame {
         #[expect(clippy::cast_precision_loss, reason = "statistics")]
-        let mean = self.fragments as f64 / (f64::from(scene.width()) * f64::from(scene.height()));
+        let mean = self.fragments as f64 / (f64::from(width) * f64::from(height));
         let max = usize::try_from(self.deepest).unwrap_or(usize::MAX);
         let cost = variant.technique.cost(&DepthComplexity { mean, max });
         Frame {
             technique: variant.id,
             params,
-            width: scene.width(),
-            height: scene.height(),
+            width,
+            height,
             color: Arc::clone(&self.color),
             transmittance: Arc::clone(&self.transmittance),
             transmittance_channels: self.channels,
