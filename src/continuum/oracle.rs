@@ -4,6 +4,7 @@
 use super::sums::{BlendSums, blend};
 use crate::diagnosis::{Diagnosis, Faults};
 use crate::fragments::{Fragment, List};
+use crate::gpu::form::Number;
 use crate::params::{Kind, ParamSpec, Params, Value};
 use crate::technique::{Cost, DepthComplexity, Pixel, Properties, Resolved, Technique};
 
@@ -41,6 +42,15 @@ impl Composite {
 }
 
 impl Composite {
+    /// As `composite_sums` in `shaders/blocks/sums.wgsl` has it.
+    pub fn number(self) -> Number {
+        Number::Whole(match self {
+            Self::None => 0,
+            Self::ExactBackground => 1,
+            Self::Normalize => 2,
+        })
+    }
+
     /// What holds of an additive map of absorbance that is composited so: such a map does not depend on order,
     /// and its own background share is not exact behind opaque fragments, whose absorbance is bounded.
     /// `lone_is_free` says whether nothing is in front of a lone fragment.

@@ -41,6 +41,13 @@ impl Number {
         }
     }
 
+    /// The largest of the shader's floats that is not larger than a double.
+    #[expect(clippy::cast_possible_truncation, reason = "shaders compute in f32")]
+    pub fn below(x: f64) -> Self {
+        let nearest = x as f32;
+        Self::Float(if f64::from(nearest) > x { nearest.next_down() } else { nearest })
+    }
+
     /// A double as the shader's float.
     #[expect(clippy::cast_possible_truncation, reason = "shaders compute in f32")]
     pub fn float(x: f64) -> Self {
@@ -66,6 +73,8 @@ pub struct Listing {
     pub sorted: Sorting,
     /// How many layers a pixel keeps, for shaders that keep `LAYERS`.
     pub layers: Option<u32>,
+    /// Other sizes of what a pixel keeps, which the shader has as constants of these names.
+    pub sizes: Vec<(&'static str, u32)>,
 }
 
 /// An order of lists.
@@ -165,6 +174,11 @@ const WEIGHT: &str = include_str!("../../shaders/blocks/weight.wgsl");
 const RESOLVE: &str = include_str!("../../shaders/blocks/resolve.wgsl");
 const LISTS: &str = include_str!("../../shaders/blocks/lists.wgsl");
 const LAYERS: &str = include_str!("../../shaders/blocks/layers.wgsl");
+const RANDOM: &str = include_str!("../../shaders/blocks/random.wgsl");
+const CHANCE: &str = include_str!("../../shaders/blocks/chance.wgsl");
+const ABSORBANCE: &str = include_str!("../../shaders/blocks/absorbance.wgsl");
+const SUMS_BLOCK: &str = include_str!("../../shaders/blocks/sums.wgsl");
+const MASKS: &str = include_str!("../../shaders/blocks/masks.wgsl");
 const BACKGROUND: &str = include_str!("../../shaders/blocks/background.wgsl");
 
 /// The module that counts, stores and sorts fragments, and the one that puts the background into a target: no
@@ -178,16 +192,67 @@ pub fn background_module() -> String {
     [FRAME, BACKGROUND].join("\n")
 }
 
+/// The name of the number of words in a mask, for shaders that have masks.
+const MASK_WORDS: &str = "MASK_WORDS";
+/// Bits that a mask has at most: two masks of them take a kilobyte per pixel.
+const MOST_BITS: u32 = 4096;
+
+/// The size of masks of so many bits, which the param `name` asks for; those of none take a word, too.
+///
+/// # Errors
+/// `Error::Param` if they are too many.
+pub fn mask_size(params: &Params, name: &str) -> Result<(&'static str, u32)> {
+    let bits = at_most(params, name, MOST_BITS)?;
+    Ok((MASK_WORDS, bits.div_ceil(32).max(1)))
+}
+
+/// The size that the param `name` asks for.
+///
+/// # Errors
+/// `Error::Param` if it is more than `most`.
+pub fn at_most(params: &Params, name: &str, most: u32) -> Result<u32> {
+    let size = params.size(name);
+    u32::try_from(size).ok().filter(|size| *size <= most).ok_or_else(|| {
+        let problem = format!("{name}={size} has no form on the backend \"gpu\"");
+        params.error(problem, format!("there {name} is at most {most}"))
+    })
+}
+
+/// A number of which more make no difference.
+pub fn saturated(size: usize) -> Number {
+    Number::Whole(u32::try_from(size).unwrap_or(u32::MAX))
+}
+
+/// The members of `Masking` in `shaders/blocks/random.wgsl`, where the param `name` is the number of bits.
+#[expect(clippy::cast_possible_truncation, reason = "both halves of the seed are used")]
+pub fn masking(params: &Params, name: &str, stratified: bool) -> [Number; 4] {
+    let seed = params.size("seed") as u64;
+    let halves = [seed as u32, (seed >> 32) as u32].map(Number::Whole);
+    [saturated(params.size(name)), Number::Whole(stratified.into()), halves[0], halves[1]]
+}
+
+impl Listing {
+    fn constants(&self) -> String {
+        let layers = self.layers.map(|count| ("LAYERS", count));
+        let all = layers.iter().chain(&self.sizes);
+        all.map(|(name, size)| format!("const {name} = {size}u;\n")).collect()
+    }
+}
+
 impl Form {
     /// The shader with the blocks that it may use.
     pub fn module(&self) -> String {
-        let mut parts = vec![FRAME, DOUBLE, FRAGMENT, WEIGHT, RESOLVE];
-        let layers;
+        let mut parts =
+            vec![FRAME, DOUBLE, FRAGMENT, WEIGHT, RESOLVE, LISTS, RANDOM, CHANCE, ABSORBANCE, SUMS_BLOCK];
+        let constants;
         if let Path::Listed(listing) = &self.path {
-            parts.push(LISTS);
-            if let Some(count) = listing.layers {
-                layers = format!("const LAYERS = {count}u;");
-                parts.extend([layers.as_str(), LAYERS]);
+            constants = listing.constants();
+            parts.push(&constants);
+            if listing.layers.is_some() {
+                parts.push(LAYERS);
+            }
+            if listing.sizes.iter().any(|(name, _)| *name == MASK_WORDS) {
+                parts.push(MASKS);
             }
         }
         parts.push(self.shader);
