@@ -39,9 +39,7 @@ impl Composite {
             _ => Self::None,
         }
     }
-}
 
-impl Composite {
     /// As `composite_sums` in `shaders/blocks/sums.wgsl` has it.
     pub fn number(self) -> Number {
         Number::Whole(match self {
@@ -50,7 +48,9 @@ impl Composite {
             Self::Normalize => 2,
         })
     }
+}
 
+impl Composite {
     /// What holds of an additive map of absorbance that is composited so: such a map does not depend on order,
     /// and its own background share is not exact behind opaque fragments, whose absorbance is bounded.
     /// `lone_is_free` says whether nothing is in front of a lone fragment.

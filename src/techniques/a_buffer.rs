@@ -83,7 +83,7 @@ fn gpu(params: &Params, _view: &View) -> Result<Form> {
             resolve: "composite",
             sorted: Sorting::Depth,
             layers: None,
-            sizes: Vec::new(),
+            sizes: vec![],
         }),
         shows_zero_fragments: false,
         colored_transmittance: false,

@@ -7,7 +7,7 @@ use crate::continuum::nodes::{LAYERS, Nodes};
 use crate::continuum::normalize::Unnormalized;
 use crate::continuum::opacity::Alpha;
 use crate::error::Result;
-use crate::gpu::form::{Form, Listing, Number, Path, Sorting, only_default_formats};
+use crate::gpu::form::{Form, Listing, Number, Path, Sorting, only_single_formats};
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{AnyTechnique, Axes, Cost, Info, Properties};
 use crate::techniques::ANY_ORDER;
@@ -59,7 +59,7 @@ fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
 
 /// Its form on a GPU: the first fragment of each list that passes.
 fn gpu(params: &Params, _view: &View) -> Result<Form> {
-    only_default_formats(params, INFO.targets)?;
+    only_single_formats(params, INFO.targets)?;
     Ok(Form {
         shader: include_str!("../../shaders/alpha_testing.wgsl"),
         // an f32 is larger than a number if it is larger than the next f32 below

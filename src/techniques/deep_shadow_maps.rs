@@ -6,7 +6,7 @@ use crate::continuum::stored_oracle::{NODE_DEPTH, NODES, StoredOracle, technique
 use crate::error::Result;
 use crate::format::{Formats, SUMMATION, Target};
 use crate::fragments::{Fragment, List};
-use crate::gpu::form::{Form, Listing, Number, Path, Sorting, only, only_default_formats, saturated};
+use crate::gpu::form::{Form, Listing, Number, Path, Sorting, only, only_single_formats, saturated};
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties};
 use crate::techniques::ANY_ORDER;
@@ -69,7 +69,7 @@ static TARGETS: [Target; 4] = [NODES, NODE_DEPTH, Target::ACCUMULATION, Target::
 
 /// Its form on a GPU: over sorted lists.
 fn gpu(params: &Params, _view: &View) -> Result<Form> {
-    only_default_formats(params, &TARGETS)?;
+    only_single_formats(params, &TARGETS)?;
     only(params, "summation", "plain")?;
     Ok(Form {
         shader: include_str!("../../shaders/deep_shadow_maps.wgsl"),

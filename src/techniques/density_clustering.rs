@@ -7,9 +7,7 @@ use crate::continuum::stored_oracle::{StoredOracle, coefficients, technique};
 use crate::error::Result;
 use crate::format::{Format, Formats, SUMMATION, Target};
 use crate::fragments::{Fragment, List};
-use crate::gpu::form::{
-    Form, Listing, Number, Path, Sorting, at_most, only, only_default_formats, saturated,
-};
+use crate::gpu::form::{Form, Listing, Number, Path, Sorting, at_most, only, only_single_formats, saturated};
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties};
 use crate::techniques::ANY_ORDER;
@@ -67,7 +65,7 @@ fn build(params: &Params, _view: &View) -> Result<Box<dyn AnyTechnique>> {
 
 /// Its form on a GPU: over sorted lists.
 fn gpu(params: &Params, _view: &View) -> Result<Form> {
-    only_default_formats(params, INFO.targets)?;
+    only_single_formats(params, INFO.targets)?;
     only(params, "summation", "plain")?;
     let sizes = vec![("CLUSTERS", at_most(params, "bins", MOST_CLUSTERS)?)];
     Ok(Form {

@@ -8,7 +8,7 @@ use crate::error::Result;
 use crate::format::{Format, FormatSet, Formats, SUMMATION, Summation, Target};
 use crate::fragments::List;
 use crate::gpu::form::{
-    BlendTarget, Blending, Form, Listing, Number, Path, SUMS, Sorting, only, only_default_formats,
+    BlendTarget, Blending, Form, Listing, Number, Path, SUMS, Sorting, only, only_single_formats,
     target_format,
 };
 use crate::params::{Kind, ParamSpec, Params, Value, View};
@@ -106,7 +106,7 @@ fn gpu(params: &Params, _view: &View) -> Result<Form> {
         let (draw, resolve) = ("accumulate", "resolve");
         (format, Path::Blended(Blending { draw, resolve, targets, over_background: false }))
     } else {
-        only_default_formats(params, INFO.targets)?;
+        only_single_formats(params, INFO.targets)?;
         let (resolve, sorted) = ("resolve_lists", Sorting::Submission);
         (Format::F32, Path::Listed(Listing { resolve, sorted, layers: None, sizes: Vec::new() }))
     };

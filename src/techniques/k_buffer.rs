@@ -65,7 +65,7 @@ fn gpu(params: &Params, _view: &View) -> Result<Form> {
     Ok(Form {
         shader: include_str!("../../shaders/k_buffer.wgsl"),
         numbers: vec![backwards],
-        path: Path::Listed(Listing { resolve: "resolve", sorted, layers, sizes: Vec::new() }),
+        path: Path::Listed(Listing { resolve: "resolve", sorted, layers, sizes: vec![] }),
         shows_zero_fragments: false,
         colored_transmittance: false,
     })

@@ -203,7 +203,7 @@ fn gpu(params: &Params, view: &View) -> Result<Form> {
             resolve: "resolve",
             sorted: Sorting::Depth,
             layers: None,
-            sizes: Vec::new(),
+            sizes: vec![],
         }),
         shows_zero_fragments: false,
         colored_transmittance: false,

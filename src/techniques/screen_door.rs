@@ -8,7 +8,7 @@ use crate::continuum::steps::Steps;
 use crate::diagnosis::{Diagnosis, Faults};
 use crate::error::Result;
 use crate::fragments::{Fragment, List};
-use crate::gpu::form::{Form, Listing, Number, Path, Sorting, at_most, only_default_formats};
+use crate::gpu::form::{Form, Listing, Number, Path, Sorting, at_most, only_single_formats};
 use crate::order::sort_key;
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{
@@ -59,7 +59,7 @@ fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
 
 /// Its form on a GPU: over sorted lists, with nodes in f32.
 fn gpu(params: &Params, _view: &View) -> Result<Form> {
-    only_default_formats(params, INFO.targets)?;
+    only_single_formats(params, INFO.targets)?;
     Ok(Form {
         shader: include_str!("../../shaders/screen_door.wgsl"),
         numbers: vec![Number::Whole(at_most(params, "samples", MOST_SAMPLES)?)],

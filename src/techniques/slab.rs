@@ -20,7 +20,7 @@ use crate::diagnosis::{Diagnosis, Faults};
 use crate::error::Result;
 use crate::format::{Formats, Target};
 use crate::gpu::form::{
-    Form, Listing, Number, Path, Sorting, mask_size, masking, only, only_default_formats, saturated,
+    Form, Listing, Number, Path, Sorting, mask_size, masking, only, only_single_formats, saturated,
 };
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{
@@ -133,7 +133,7 @@ fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
 
 /// Its form on a GPU: over sorted lists, with nodes in f32 and the CPU's masks.
 fn gpu(params: &Params, view: &View) -> Result<Form> {
-    only_default_formats(params, INFO.targets)?;
+    only_single_formats(params, INFO.targets)?;
     only(params, "replay", "sorted")?;
     let sizes = vec![mask_size(params, "bits")?];
     let (accumulate, composite) = match Setup::from_params(params, view).accumulate {

@@ -16,7 +16,7 @@ use crate::diagnosis::{Diagnosis, Faults};
 use crate::error::Result;
 use crate::format::{Format, Formats, Target};
 use crate::fragments::{Fragment, List};
-use crate::gpu::form::{Form, Listing, Number, Path, Sorting, mask_size, masking, only_default_formats};
+use crate::gpu::form::{Form, Listing, Number, Path, Sorting, mask_size, masking, only_single_formats};
 use crate::order::sort_key;
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{
@@ -91,7 +91,7 @@ fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
 
 /// Its form on a GPU: over sorted lists, with nodes in f32 and the CPU's masks.
 fn gpu(params: &Params, _view: &View) -> Result<Form> {
-    only_default_formats(params, INFO.targets)?;
+    only_single_formats(params, INFO.targets)?;
     let sizes = vec![mask_size(params, "samples")?];
     let resolve = if params.text("mode") == "color" { "resolve_colors" } else { "resolve_depths" };
     let masking = masking(params, "samples", params.bool("stratified"));
