@@ -21,20 +21,6 @@ struct Params {
 @group(2) @binding(0) var accumulation: texture_2d<f32>;
 @group(2) @binding(1) var count_target: texture_2d<f32>;
 
-// What `count` layers of that coverage cover together, and what they leave: layers are doubled, which is exact for faint
-// ones, too, where powers of 1 - coverage are not.
-fn repeated(coverage: f32, count: u32) -> vec2f {
-    var layers = vec2f(coverage, 1.0 - coverage);
-    var all = vec2f(0.0, 1.0);
-    for (var rest = count; rest > 0u; rest >>= 1u) {
-        if (rest & 1u) == 1u {
-            all = vec2f(all.x + all.y * layers.x, all.y * layers.y);
-        }
-        layers = vec2f(layers.x * (1.0 + layers.y), layers.y * layers.y);
-    }
-    return all;
-}
-
 @compute @workgroup_size(8, 8)
 fn resolve(@builtin(global_invocation_id) id: vec3u) {
     if is_outside(id) {

@@ -13,8 +13,8 @@ struct Node {
 var<private> nodes: array<Node, LAYERS + 1u>;
 var<private> node_count: u32;
 
-// Inserts a fragment where it belongs, behind its equals; there has to be room.
-fn insert_node(key: vec2u, fragment: vec4f) {
+// Inserts a fragment where it belongs, behind its equals, and says where; there has to be room.
+fn insert_node(key: vec2u, fragment: vec4f) -> u32 {
     var place = node_count;
     while place > 0u && comes_before_by_depth(key, nodes[place - 1u].key) {
         nodes[place] = nodes[place - 1u];
@@ -22,17 +22,27 @@ fn insert_node(key: vec2u, fragment: vec4f) {
     }
     nodes[place] = Node(key, fragment.rgb, 1.0 - fragment.a);
     node_count++;
+    return place;
 }
 
-// One node over another.
+// One node over another. What overflows is the largest number, so that an opaque node hides it, too.
 fn over(near: Node, far: Node) -> Node {
-    return Node(near.key, near.color + near.transmittance * far.color, near.transmittance * far.transmittance);
+    let color = min(near.color + near.transmittance * far.color, vec3f(LARGEST));
+    return Node(near.key, color, near.transmittance * far.transmittance);
+}
+
+// Node j and the one behind it become one.
+fn merge_pair(j: u32) {
+    nodes[j] = over(nodes[j], nodes[j + 1u]);
+    node_count--;
+    for (var i = j + 1u; i < node_count; i++) {
+        nodes[i] = nodes[i + 1u];
+    }
 }
 
 // The two furthest nodes become one.
 fn merge_furthest() {
-    node_count--;
-    nodes[node_count - 1u] = over(nodes[node_count - 1u], nodes[node_count]);
+    merge_pair(node_count - 2u);
 }
 
 // Takes the nearest node out.

@@ -165,3 +165,16 @@ fn sort_lists(@builtin(global_invocation_id) id: vec3u) {
         heap_sort(list.x, list.y);
     }
 }
+
+// The places of a list's first fragment that does anything, and behind the last one; equal where there is none.
+fn ends_of(list: vec2u) -> vec2u {
+    var first = list.x;
+    var end = list.x + list.y;
+    while first < end && all(colors[first] == vec4f(0.0)) {
+        first++;
+    }
+    while first < end && all(colors[end - 1u] == vec4f(0.0)) {
+        end--;
+    }
+    return vec2u(first, end);
+}

@@ -4,6 +4,7 @@
 use super::sums::{BlendSums, blend};
 use crate::diagnosis::{Diagnosis, Faults};
 use crate::fragments::{Fragment, List};
+use crate::gpu::form::Number;
 use crate::params::{Kind, ParamSpec, Params, Value};
 use crate::technique::{Cost, DepthComplexity, Pixel, Properties, Resolved, Technique};
 
@@ -37,6 +38,15 @@ impl Composite {
             "normalize" => Self::Normalize,
             _ => Self::None,
         }
+    }
+
+    /// As `composite_sums` in `shaders/blocks/sums.wgsl` has it.
+    pub fn number(self) -> Number {
+        Number::Whole(match self {
+            Self::None => 0,
+            Self::ExactBackground => 1,
+            Self::Normalize => 2,
+        })
     }
 }
 

@@ -44,10 +44,31 @@ impl Number {
     }
 
     /// A double as the shader's float.
-    #[expect(clippy::cast_possible_truncation, reason = "shaders compute in f32")]
     pub fn float(x: f64) -> Self {
-        Self::Float(x.clamp(f64::from(f32::MIN), f64::from(f32::MAX)) as f32)
+        Self::Float(nearest(x))
     }
+
+    /// The largest float that is not more: floats are more than it if they are more than the double.
+    pub fn below(x: f64) -> Self {
+        let near = nearest(x);
+        Self::Float(if f64::from(near) > x { near.next_down() } else { near })
+    }
+
+    /// The smallest float that is not less: floats are less than it if they are less than the double.
+    pub fn above(x: f64) -> Self {
+        let near = nearest(x);
+        Self::Float(if f64::from(near) < x { near.next_up() } else { near })
+    }
+
+    /// A double as the sum of two floats.
+    pub fn floats(x: f64) -> [Self; 2] {
+        [Self::float(x), Self::float(x - f64::from(nearest(x)))]
+    }
+}
+
+#[expect(clippy::cast_possible_truncation, reason = "shaders compute in f32")]
+fn nearest(x: f64) -> f32 {
+    x.clamp(f64::from(f32::MIN), f64::from(f32::MAX)) as f32
 }
 
 /// How a technique gets its fragments.
@@ -68,6 +89,8 @@ pub struct Listing {
     pub sorted: Sorting,
     /// How many layers a pixel keeps, for shaders that keep `LAYERS`.
     pub layers: Option<u32>,
+    /// Other sizes of what a pixel keeps, which the shader has as constants of these names.
+    pub sizes: Vec<(&'static str, u32)>,
 }
 
 /// An order of lists.
@@ -99,21 +122,33 @@ pub fn submission(params: &Params) -> Result<(Sorting, Number)> {
 }
 
 /// Layers that a shader keeps per pixel, at most: they are in registers, where there is little room.
-const MOST_LAYERS: usize = 32;
+pub const MOST_LAYERS: u32 = 32;
 
 /// The number of layers that a shader keeps.
 ///
 /// # Errors
 /// `Error::Param` if they are too many.
 pub fn layers(params: &Params) -> Result<u32> {
-    let layers = params.size("layers");
-    match u32::try_from(layers) {
-        Ok(fit) if layers <= MOST_LAYERS => Ok(fit),
-        _ => {
-            let problem = format!("layers={layers} has no form on the backend \"gpu\"");
-            Err(params.error(problem, format!("there layers is at most {MOST_LAYERS}")))
-        }
-    }
+    at_most(params, "layers", MOST_LAYERS)
+}
+
+/// The size that the param `name` asks for.
+///
+/// # Errors
+/// `Error::Param` if it is more than `most`.
+pub fn at_most(params: &Params, name: &str, most: u32) -> Result<u32> {
+    let size = params.size(name);
+    u32::try_from(size).ok().filter(|size| *size <= most).ok_or_else(|| {
+        let problem = format!("{name}={size} has no form on the backend \"gpu\"");
+        params.error(problem, format!("there {name} is at most {most}"))
+    })
+}
+
+/// The seed, as shaders have it: its lower half and its upper half.
+#[expect(clippy::cast_possible_truncation, reason = "both halves are used")]
+pub fn seed(params: &Params) -> [Number; 2] {
+    let seed = params.size("seed") as u64;
+    [Number::Whole(seed as u32), Number::Whole((seed >> 32) as u32)]
 }
 
 /// One pass over the geometry into render targets, and one over the image that reads them.
@@ -169,6 +204,12 @@ const OWN_WEIGHT: &str = include_str!("../../shaders/blocks/own_weight.wgsl");
 const RESOLVE: &str = include_str!("../../shaders/blocks/resolve.wgsl");
 const LISTS: &str = include_str!("../../shaders/blocks/lists.wgsl");
 const LAYERS: &str = include_str!("../../shaders/blocks/layers.wgsl");
+const RANDOM: &str = include_str!("../../shaders/blocks/random.wgsl");
+const CHANCE: &str = include_str!("../../shaders/blocks/chance.wgsl");
+const ABSORBANCE: &str = include_str!("../../shaders/blocks/absorbance.wgsl");
+const SUMS_OF_LISTS: &str = include_str!("../../shaders/blocks/sums.wgsl");
+const MASKS: &str = include_str!("../../shaders/blocks/masks.wgsl");
+const SHARES_OF_LAYERS: &str = include_str!("../../shaders/blocks/shares.wgsl");
 const BACKGROUND: &str = include_str!("../../shaders/blocks/background.wgsl");
 
 /// The module that counts, stores and sorts fragments, and the one that puts the background into a target: no
@@ -182,6 +223,39 @@ pub fn background_module() -> String {
     [FRAME, BACKGROUND].join("\n")
 }
 
+/// The name of the number of words in a mask, for shaders that have masks.
+pub const MASK_WORDS: &str = "MASK_WORDS";
+/// Bits that a mask has at most: two masks of them take a kilobyte per pixel.
+const MOST_BITS: u32 = 4096;
+
+/// The size of masks of so many bits, which the param `name` asks for; those of none take a word, too.
+///
+/// # Errors
+/// `Error::Param` if they are too many.
+pub fn mask_size(params: &Params, name: &str) -> Result<(&'static str, u32)> {
+    let bits = at_most(params, name, MOST_BITS)?;
+    Ok((MASK_WORDS, bits.div_ceil(32).max(1)))
+}
+
+/// A number of which more make no difference.
+pub fn saturated(size: usize) -> Number {
+    Number::Whole(u32::try_from(size).unwrap_or(u32::MAX))
+}
+
+/// The members of `Masking` in `shaders/blocks/random.wgsl`, where the param `name` is the number of bits.
+pub fn masking(params: &Params, name: &str, stratified: bool) -> [Number; 4] {
+    let [low, high] = seed(params);
+    [saturated(params.size(name)), Number::Whole(stratified.into()), low, high]
+}
+
+impl Listing {
+    fn constants(&self) -> String {
+        let layers = self.layers.map(|count| ("LAYERS", count));
+        let all = layers.iter().chain(&self.sizes);
+        all.map(|(name, size)| format!("const {name} = {size}u;\n")).collect()
+    }
+}
+
 impl Form {
     /// The shader with the blocks that it may use.
     pub fn module(&self) -> String {
@@ -190,13 +264,18 @@ impl Form {
             Some(own) => parts.extend([own.as_str(), OWN_WEIGHT]),
             None => parts.push(WEIGHT),
         }
-        parts.push(RESOLVE);
-        let layers;
+        parts.extend([SHARES_OF_LAYERS, RESOLVE]);
+        // the blend unit's techniques may have a form with lists in the same file
+        parts.extend([LISTS, RANDOM, CHANCE, ABSORBANCE, SUMS_OF_LISTS]);
+        let constants;
         if let Path::Listed(listing) = &self.path {
-            parts.push(LISTS);
-            if let Some(count) = listing.layers {
-                layers = format!("const LAYERS = {count}u;");
-                parts.extend([layers.as_str(), LAYERS]);
+            constants = listing.constants();
+            parts.push(&constants);
+            if listing.layers.is_some() {
+                parts.push(LAYERS);
+            }
+            if listing.sizes.iter().any(|(name, _)| *name == MASK_WORDS) {
+                parts.push(MASKS);
             }
         }
         parts.push(self.shader);
@@ -267,6 +346,18 @@ pub fn only_default_formats(params: &Params, targets: &'static [Target]) -> Resu
     }
     let problem = "nodes of other formats than f32 have no form on the backend \"gpu\"";
     Err(params.error(problem, "there format and the formats of all targets are \"f32\""))
+}
+
+/// Refuses nodes and sums that are not in f32 on a device; what the CPU keeps in double precision by default stands for f32.
+///
+/// # Errors
+/// `Error::Param` naming the param.
+pub fn only_single_formats(params: &Params, targets: &'static [Target]) -> Result<()> {
+    let formats = Formats::from_params(targets, params);
+    for target in targets.iter().filter(|target| formats.find(target.name).is_some()) {
+        target_format(params, &formats, target.name, target.param, &[Format::F32])?;
+    }
+    Ok(())
 }
 
 /// What a device's blend units may have of floats and of numbers up to one.

@@ -77,10 +77,15 @@ fn gpu(params: &Params, _view: &View) -> Result<Form> {
     only(params, "overflow", "grow")?;
     only_default_formats(params, INFO.targets)?;
     Ok(Form {
+        own_weight: None,
         shader: include_str!("../../shaders/a_buffer.wgsl"),
         numbers: Vec::new(),
-        own_weight: None,
-        path: Path::Listed(Listing { resolve: "composite", sorted: Sorting::Depth, layers: None }),
+        path: Path::Listed(Listing {
+            resolve: "composite",
+            sorted: Sorting::Depth,
+            layers: None,
+            sizes: vec![],
+        }),
         shows_zero_fragments: false,
         colored_transmittance: false,
     })

@@ -12,6 +12,7 @@ use crate::continuum::rounded_steps::RoundedSteps;
 use crate::continuum::stored_pass::StoredPass;
 use crate::error::Result;
 use crate::format::{Formats, Target};
+use crate::gpu::form::{Form, Listing, Number, Path, layers, only_single_formats, submission};
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{AnyTechnique, Axes, Cost, Info, Properties};
 use crate::techniques::ANY_ORDER;
@@ -49,12 +50,12 @@ pub static INFO: Info = Info {
     geometry_passes: "2",
     bytes_per_pixel: "8 layers + 20 in f32, half of that in f16",
     build,
-    gpu: None,
+    gpu: Some(gpu),
 };
 
 fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
     let layers = params.size("layers");
-    let protected = if params.bool("protect_front") { (layers / 2).max(1) } else { 1 };
+    let protected = protected(params);
     let composite = Composite::from_params(params);
     let formats = Formats::from_params(INFO.targets, params);
     let nodes = Nodes::new(&formats, view);
@@ -67,6 +68,28 @@ fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
     let oracle = RoundedSteps { layers, protected, nodes, cost, properties: nodes.promises(properties) };
     let technique = StoredPass { oracle, composite, recipe: sums(&formats) };
     Ok(Box::new(Placed::new(technique, nodes.depths)))
+}
+
+/// How many of the first steps are never removed.
+fn protected(params: &Params) -> usize {
+    if params.bool("protect_front") { (params.size("layers") / 2).max(1) } else { 1 }
+}
+
+/// Its form on a GPU: over lists in submission order, with steps and sums in f32.
+#[expect(clippy::cast_possible_truncation, reason = "there are few layers")]
+fn gpu(params: &Params, _view: &View) -> Result<Form> {
+    only_single_formats(params, INFO.targets)?;
+    let (sorted, backwards) = submission(params)?;
+    let layers = Some(layers(params)?);
+    let protected = Number::Whole(protected(params) as u32);
+    Ok(Form {
+        own_weight: None,
+        shader: include_str!("../../shaders/adaptive_transparency.wgsl"),
+        numbers: vec![backwards, protected, Composite::from_params(params).number()],
+        path: Path::Listed(Listing { resolve: "resolve", sorted, layers, sizes: vec![] }),
+        shows_zero_fragments: false,
+        colored_transmittance: false,
+    })
 }
 
 static TARGETS: [Target; 4] =

@@ -7,6 +7,7 @@ use crate::continuum::nodes::{LAYERS, Nodes};
 use crate::continuum::normalize::Unnormalized;
 use crate::continuum::opacity::Alpha;
 use crate::error::Result;
+use crate::gpu::form::{Form, Listing, Number, Path, Sorting, only_single_formats};
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{AnyTechnique, Axes, Cost, Info, Properties};
 use crate::techniques::ANY_ORDER;
@@ -41,7 +42,7 @@ pub static INFO: Info = Info {
     geometry_passes: "1",
     bytes_per_pixel: "colour and depth: 20 in f32, 10 in f16, 8 as rgba8 and an f32",
     build,
-    gpu: None,
+    gpu: Some(gpu),
 };
 
 fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
@@ -54,6 +55,25 @@ fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
         properties: Properties { order_independent: true, ..Properties::NONE },
     };
     Ok(list.stored(nodes))
+}
+
+/// Its form on a GPU: the first fragment of each list that passes.
+fn gpu(params: &Params, _view: &View) -> Result<Form> {
+    only_single_formats(params, INFO.targets)?;
+    Ok(Form {
+        own_weight: None,
+        shader: include_str!("../../shaders/alpha_testing.wgsl"),
+        // an f32 is larger than a number if it is larger than the next f32 below
+        numbers: vec![Number::below(params.float("threshold"))],
+        path: Path::Listed(Listing {
+            resolve: "resolve",
+            sorted: Sorting::Depth,
+            layers: None,
+            sizes: Vec::new(),
+        }),
+        shows_zero_fragments: false,
+        colored_transmittance: false,
+    })
 }
 
 #[cfg(test)]

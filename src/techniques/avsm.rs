@@ -6,6 +6,7 @@ use crate::continuum::stored_oracle::{NODE_DEPTH, NODES, StoredOracle, technique
 use crate::error::Result;
 use crate::format::{Format, Formats, SUMMATION, Target};
 use crate::fragments::Fragment;
+use crate::gpu::form::{Form, Listing, Number, Path, layers, only, only_single_formats, submission};
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties};
 use crate::techniques::ANY_ORDER;
@@ -44,7 +45,7 @@ pub static INFO: Info = Info {
     geometry_passes: "2",
     bytes_per_pixel: "transmittance and depth per node, 4 sums and R: 8 layers + 20 in f32, 4 layers + 10 in f16",
     build,
-    gpu: None,
+    gpu: Some(gpu),
 };
 
 static TARGETS: [Target; 4] = [NODES, NODE_DEPTH, Target::ACCUMULATION, Target::REVEALAGE];
@@ -56,6 +57,23 @@ fn build(params: &Params, _view: &View) -> Result<Box<dyn AnyTechnique>> {
         depth: Formats::from_params(&TARGETS, params).of(NODE_DEPTH.name),
     };
     Ok(technique(oracle, &TARGETS, params))
+}
+
+/// Its form on a GPU: over lists in submission order, with nodes and sums in f32.
+fn gpu(params: &Params, _view: &View) -> Result<Form> {
+    only_single_formats(params, INFO.targets)?;
+    only(params, "summation", "plain")?;
+    let (sorted, backwards) = submission(params)?;
+    let layers = Some(layers(params)?);
+    let [thickness, rest] = Number::floats(params.float("thickness").min(f32::MAX.into()));
+    Ok(Form {
+        own_weight: None,
+        shader: include_str!("../../shaders/avsm.wgsl"),
+        numbers: vec![backwards, Composite::from_params(params).number(), thickness, rest],
+        path: Path::Listed(Listing { resolve: "resolve", sorted, layers, sizes: vec![] }),
+        shows_zero_fragments: false,
+        colored_transmittance: false,
+    })
 }
 
 /// At most `layers` nodes per pixel.

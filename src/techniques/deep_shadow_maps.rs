@@ -6,6 +6,7 @@ use crate::continuum::stored_oracle::{NODE_DEPTH, NODES, StoredOracle, technique
 use crate::error::Result;
 use crate::format::{Formats, SUMMATION, Target};
 use crate::fragments::{Fragment, List};
+use crate::gpu::form::{Form, Listing, Number, Path, Sorting, only, only_single_formats, saturated};
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties};
 use crate::techniques::ANY_ORDER;
@@ -52,7 +53,7 @@ pub static INFO: Info = Info {
     bytes_per_pixel: "transmittance and depth per vertex, 4 sums and R: 8 vertices + 20 in f32, 4 vertices + 10 in f16; by eps at \
                       most 2 n vertices and 4 more (n = mean depth complexity)",
     build,
-    gpu: None,
+    gpu: Some(gpu),
 };
 
 fn build(params: &Params, _view: &View) -> Result<Box<dyn AnyTechnique>> {
@@ -65,6 +66,29 @@ fn build(params: &Params, _view: &View) -> Result<Box<dyn AnyTechnique>> {
 }
 
 static TARGETS: [Target; 4] = [NODES, NODE_DEPTH, Target::ACCUMULATION, Target::REVEALAGE];
+
+/// Its form on a GPU: over sorted lists.
+fn gpu(params: &Params, _view: &View) -> Result<Form> {
+    only_single_formats(params, &TARGETS)?;
+    only(params, "summation", "plain")?;
+    Ok(Form {
+        own_weight: None,
+        shader: include_str!("../../shaders/deep_shadow_maps.wgsl"),
+        numbers: vec![
+            saturated(params.size("vertices")),
+            Number::float(params.float("eps")),
+            Composite::from_params(params).number(),
+        ],
+        path: Path::Listed(Listing {
+            resolve: "resolve",
+            sorted: Sorting::Depth,
+            layers: None,
+            sizes: Vec::new(),
+        }),
+        shows_zero_fragments: false,
+        colored_transmittance: false,
+    })
+}
 
 /// When a polyline is short enough.
 #[derive(Debug, Clone, Copy, PartialEq)]

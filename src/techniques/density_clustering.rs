@@ -7,6 +7,7 @@ use crate::continuum::stored_oracle::{StoredOracle, coefficients, technique};
 use crate::error::Result;
 use crate::format::{Format, Formats, SUMMATION, Target};
 use crate::fragments::{Fragment, List};
+use crate::gpu::form::{Form, Listing, Number, Path, Sorting, at_most, only, only_single_formats, saturated};
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties};
 use crate::techniques::ANY_ORDER;
@@ -41,7 +42,7 @@ pub static INFO: Info = Info {
     geometry_passes: "2 + iterations",
     bytes_per_pixel: "3 sums per cluster, two depths, 4 sums and R: 12 bins + 8 + 20 in f32, 6 bins + 8 + 10 in f16",
     build,
-    gpu: None,
+    gpu: Some(gpu),
 };
 
 /// Sums of a cluster. Their variance cancels: in f32 one fragment alone may seem 3e-4 of the pixel's depths wide, in f16
@@ -61,6 +62,28 @@ fn build(params: &Params, _view: &View) -> Result<Box<dyn AnyTechnique>> {
     };
     Ok(technique(oracle, INFO.targets, params))
 }
+
+/// Its form on a GPU: over sorted lists.
+fn gpu(params: &Params, _view: &View) -> Result<Form> {
+    only_single_formats(params, INFO.targets)?;
+    only(params, "summation", "plain")?;
+    let sizes = vec![("CLUSTERS", at_most(params, "bins", MOST_CLUSTERS)?)];
+    Ok(Form {
+        own_weight: None,
+        shader: include_str!("../../shaders/density_clustering.wgsl"),
+        numbers: vec![
+            saturated(params.size("iterations")),
+            Number::float(params.float("s_max")),
+            Composite::from_params(params).number(),
+        ],
+        path: Path::Listed(Listing { resolve: "resolve", sorted: Sorting::Depth, layers: None, sizes }),
+        shows_zero_fragments: false,
+        colored_transmittance: false,
+    })
+}
+
+/// A shader keeps four numbers for each.
+const MOST_CLUSTERS: u32 = 256;
 
 /// A cluster narrower than this part of the pixel's depths is a step; as far behind it lies what it hides.
 const SLACK: f64 = 1e-4;

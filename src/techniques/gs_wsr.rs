@@ -7,6 +7,10 @@ use crate::diagnosis::{Diagnosis, Faults};
 use crate::error::Result;
 use crate::format::{Format, FormatSet, Formats, SUMMATION, Summation, Target};
 use crate::fragments::List;
+use crate::gpu::form::{
+    BlendTarget, Blending, Form, Listing, Number, Path, SUMS, Sorting, only, only_single_formats,
+    target_format,
+};
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{
     AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties, Resolved, Technique,
@@ -65,7 +69,7 @@ pub static INFO: Info = Info {
     geometry_passes: "1, 1 more for linear's automatic sigma",
     bytes_per_pixel: "4 sums: 16 in f32, 8 in f16; linear's automatic sigma takes 2 more",
     build,
-    gpu: None,
+    gpu: Some(gpu),
 };
 
 fn build(params: &Params, _view: &View) -> Result<Box<dyn AnyTechnique>> {
@@ -84,6 +88,46 @@ fn build(params: &Params, _view: &View) -> Result<Box<dyn AnyTechnique>> {
     let background_weight = params.float("background_weight");
     let stored = (!default).then_some((recipe, depth));
     Ok(Box::new(WeightedSumRendering { weight, background_weight, stored, bytes }))
+}
+
+/// Its form on a GPU: the blend unit adds up; lists are walked twice where sigma is a pixel's own.
+fn gpu(params: &Params, _view: &View) -> Result<Form> {
+    only(params, "summation", "plain")?;
+    let formats = Formats::from_params(INFO.targets, params);
+    let (variant, sigma) = match (params.text("variant"), params.value("sigma")) {
+        ("exp", Value::Float(sigma)) => (1, Some(sigma)),
+        ("linear", Value::Float(sigma)) => (2, Some(sigma)),
+        ("linear", _) => (2, None),
+        _ => (0, Some(0.0)),
+    };
+    let (format, path) = if sigma.is_some() {
+        let format = target_format(params, &formats, "accumulation", "accumulation_format", SUMS)?;
+        let targets = vec![BlendTarget::sums("accumulation_format", format, 4)];
+        let (draw, resolve) = ("accumulate", "resolve");
+        (format, Path::Blended(Blending { draw, resolve, targets, over_background: false }))
+    } else {
+        only_single_formats(params, INFO.targets)?;
+        let (resolve, sorted) = ("resolve_lists", Sorting::Submission);
+        (Format::F32, Path::Listed(Listing { resolve, sorted, layers: None, sizes: Vec::new() }))
+    };
+    // what is positive stays so
+    let positive = |x: f64| Number::float(x.max(f32::MIN_POSITIVE.into()));
+    let numbers = vec![
+        Number::Whole(variant),
+        positive(sigma.unwrap_or(0.0)),
+        positive(params.float("gamma")),
+        positive(params.float("gain")),
+        Number::float(params.float("background_weight")),
+        Number::float(format.max_finite(0)),
+    ];
+    Ok(Form {
+        own_weight: None,
+        shader: include_str!("../../shaders/gs_wsr.wgsl"),
+        numbers,
+        path,
+        shows_zero_fragments: false,
+        colored_transmittance: false,
+    })
 }
 
 /// What the automatic sigma is made of.

@@ -63,10 +63,10 @@ fn gpu(params: &Params, _view: &View) -> Result<Form> {
     let (sorted, backwards) = submission(params)?;
     let layers = Some(layers(params)?);
     Ok(Form {
+        own_weight: None,
         shader: include_str!("../../shaders/k_buffer.wgsl"),
         numbers: vec![backwards],
-        own_weight: None,
-        path: Path::Listed(Listing { resolve: "resolve", sorted, layers }),
+        path: Path::Listed(Listing { resolve: "resolve", sorted, layers, sizes: vec![] }),
         shows_zero_fragments: false,
         colored_transmittance: false,
     })

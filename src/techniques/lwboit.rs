@@ -196,9 +196,14 @@ fn gpu(params: &Params, view: &View) -> Result<Form> {
     ];
     Ok(Form {
         shader: include_str!("../../shaders/lwboit.wgsl"),
-        numbers: weight.numbers.into_iter().chain(more).collect(),
         own_weight: weight.own,
-        path: Path::Listed(Listing { resolve: "resolve", sorted: Sorting::Depth, layers: None }),
+        numbers: weight.numbers.into_iter().chain(more).collect(),
+        path: Path::Listed(Listing {
+            resolve: "resolve",
+            sorted: Sorting::Depth,
+            layers: None,
+            sizes: vec![],
+        }),
         shows_zero_fragments: false,
         colored_transmittance: false,
     })

@@ -10,6 +10,9 @@ use crate::continuum::opacity::{Alpha, Opacity};
 use crate::continuum::range::{DepthRange, Interval, cell};
 use crate::error::Result;
 use crate::fragments::{Fragment, List};
+use crate::gpu::form::{
+    Form, Listing, MOST_LAYERS, Number, Path, at_most, layers, only_default_formats, submission,
+};
 use crate::order::sort_key;
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{AnyTechnique, Axes, Cost, Info, Pixel, Properties};
@@ -73,7 +76,7 @@ pub static INFO: Info = Info {
     bytes_per_pixel: "min_depth: 20 layers + 8; depth: 20 layers buckets, 8 more for range=\"pixel\"; \
                       transmittance: 20 layers buckets; half of a layer in f16, 8 as rgba8 and an f32",
     build,
-    gpu: None,
+    gpu: Some(gpu),
 };
 
 fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
@@ -102,6 +105,51 @@ fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
         }
     })
 }
+
+/// Its form on a GPU: over lists in submission order, with f32 nodes.
+fn gpu(params: &Params, view: &View) -> Result<Form> {
+    only_default_formats(params, INFO.targets)?;
+    let (sorted, backwards) = submission(params)?;
+    let layers = layers(params)?;
+    let (resolve, nodes, buckets) = match params.text("mode") {
+        // a bucket at a time
+        "depth" => ("resolve_depth", layers, at_most(params, "buckets", MOST_BUCKETS)?),
+        "transmittance" => {
+            let buckets = at_most(params, "buckets", MOST_LAYERS / layers)?;
+            ("resolve_transmittance", layers * buckets, buckets)
+        }
+        // one in front, one behind
+        _ => ("resolve_min_depth", layers.max(2), 0),
+    };
+    let [front, opaque, dark] = ["front_threshold", "opaque_threshold", "transmittance_threshold"]
+        .map(|threshold| params.float(threshold));
+    let (of_pixel, nearest, farthest) = match DepthRange::from_params(params, view) {
+        DepthRange::Pixel => (true, 0.0, 0.0),
+        DepthRange::Fixed(lo, hi) => (false, lo, hi),
+    };
+    let numbers = vec![
+        backwards,
+        Number::Whole(layers),
+        Number::Whole(buckets),
+        Number::below(front),
+        Number::above(opaque),
+        Number::above(dark),
+        Number::Whole(of_pixel.into()),
+        Number::float(nearest),
+        Number::float(farthest),
+    ];
+    Ok(Form {
+        own_weight: None,
+        shader: include_str!("../../shaders/mlab_buckets.wgsl"),
+        numbers,
+        path: Path::Listed(Listing { resolve, sorted, layers: Some(nodes), sizes: vec![] }),
+        shows_zero_fragments: false,
+        colored_transmittance: false,
+    })
+}
+
+/// Buckets of a depth range on a GPU, at most: each takes a walk over the pixel's fragments.
+const MOST_BUCKETS: u32 = 512;
 
 fn buckets_of<I, M>(
     layers: usize,

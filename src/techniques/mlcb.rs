@@ -13,6 +13,9 @@ use crate::continuum::stored_layers::{Kept, StoredAlpha, StoredLayer};
 use crate::diagnosis::Faults;
 use crate::error::Result;
 use crate::fragments::Fragment;
+use crate::gpu::form::{
+    Form, Listing, MASK_WORDS, Number, Path, layers, only_default_formats, seed, submission,
+};
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::random::Draws;
 use crate::technique::{AnyTechnique, Axes, Cost, Info, Pixel, Properties};
@@ -65,7 +68,7 @@ pub static INFO: Info = Info {
     geometry_passes: "1",
     bytes_per_pixel: "layers (node + bits / 8), a node 20 in f32, 10 in f16, 8 as rgb8 and an f32; hybrid: alpha_bits in place of bits",
     build,
-    gpu: None,
+    gpu: Some(gpu),
 };
 
 fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
@@ -86,6 +89,39 @@ fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
         0 | 1 => list.with_masks::<OneWord>(masks),
         2 => list.with_masks::<TwoWords>(masks),
         _ => list.with_masks::<ManyWords>(masks),
+    })
+}
+
+/// Its form on a GPU: over lists in submission order, with f32 nodes.
+fn gpu(params: &Params, _view: &View) -> Result<Form> {
+    only_default_formats(params, INFO.targets)?;
+    let (sorted, backwards) = submission(params)?;
+    let layers = layers(params)?;
+    let is_hybrid = params.text("store") == "hybrid";
+    let bits = if is_hybrid { 0 } else { mask_bits(params, layers)? };
+    let levels = if is_hybrid { (1 << params.size("alpha_bits")) - 1 } else { 0 };
+    let [low, high] = seed(params);
+    let resolve = if is_hybrid { "resolve_alphas" } else { "resolve_masks" };
+    let sizes = vec![(MASK_WORDS, bits.div_ceil(32).max(1))];
+    Ok(Form {
+        own_weight: None,
+        shader: include_str!("../../shaders/mlcb.wgsl"),
+        numbers: vec![Number::Whole(bits), Number::Whole(1), low, high, backwards, Number::Whole(levels)],
+        path: Path::Listed(Listing { resolve, sorted, layers: Some(layers), sizes }),
+        shows_zero_fragments: false,
+        colored_transmittance: false,
+    })
+}
+
+/// Words of masks that a pixel keeps on a GPU, at most: 4 layers have 2048 bits each, 32 layers 256.
+const MOST_WORDS: u32 = 256;
+
+/// The width of masks, if there is room for one per layer.
+fn mask_bits(params: &Params, layers: u32) -> Result<u32> {
+    let (bits, most) = (params.size("bits"), MOST_WORDS / layers * 32);
+    u32::try_from(bits).ok().filter(|bits| *bits <= most).ok_or_else(|| {
+        let problem = format!("bits={bits} has no form on the backend \"gpu\" with layers={layers}");
+        params.error(problem, format!("there bits is at most {most}; fewer layers have room for more"))
     })
 }
 

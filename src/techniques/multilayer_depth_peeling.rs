@@ -85,10 +85,15 @@ fn gpu(params: &Params, _view: &View) -> Result<Form> {
     only(params, "mode", "nearest")?;
     let layers = params.size("layers").saturating_mul(params.size("passes"));
     Ok(Form {
+        own_weight: None,
         shader: include_str!("../../shaders/multilayer_depth_peeling.wgsl"),
         numbers: vec![Number::Whole(u32::try_from(layers).unwrap_or(u32::MAX))],
-        own_weight: None,
-        path: Path::Listed(Listing { resolve: "resolve", sorted: Sorting::Depth, layers: None }),
+        path: Path::Listed(Listing {
+            resolve: "resolve",
+            sorted: Sorting::Depth,
+            layers: None,
+            sizes: vec![],
+        }),
         shows_zero_fragments: false,
         colored_transmittance: false,
     })

@@ -8,6 +8,7 @@ use crate::continuum::steps::Steps;
 use crate::diagnosis::{Diagnosis, Faults};
 use crate::error::Result;
 use crate::fragments::{Fragment, List};
+use crate::gpu::form::{Form, Listing, Number, Path, Sorting, at_most, only_single_formats};
 use crate::order::sort_key;
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{
@@ -43,7 +44,7 @@ pub static INFO: Info = Info {
     geometry_passes: "1",
     bytes_per_pixel: "20 samples in f32 (a depth and a colour each), 10 in f16, 8 as rgb8 and an f32",
     build,
-    gpu: None,
+    gpu: Some(gpu),
 };
 
 fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
@@ -55,6 +56,27 @@ fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
     }
     Ok(Box::new(Placed::new(ScreenDoor { thresholds, colors: nodes, bytes }, nodes.depths)))
 }
+
+/// Its form on a GPU: over sorted lists, with nodes in f32.
+fn gpu(params: &Params, _view: &View) -> Result<Form> {
+    only_single_formats(params, INFO.targets)?;
+    Ok(Form {
+        own_weight: None,
+        shader: include_str!("../../shaders/screen_door.wgsl"),
+        numbers: vec![Number::Whole(at_most(params, "samples", MOST_SAMPLES)?)],
+        path: Path::Listed(Listing {
+            resolve: "resolve",
+            sorted: Sorting::Depth,
+            layers: None,
+            sizes: Vec::new(),
+        }),
+        shows_zero_fragments: false,
+        colored_transmittance: false,
+    })
+}
+
+/// So many are counted without rounding.
+const MOST_SAMPLES: u32 = 1 << 24;
 
 struct ScreenDoor<K> {
     thresholds: Thresholds,

@@ -19,6 +19,9 @@ use crate::continuum::stored_tail::StoredTail;
 use crate::diagnosis::{Diagnosis, Faults};
 use crate::error::Result;
 use crate::format::{Formats, Target};
+use crate::gpu::form::{
+    Form, Listing, Number, Path, Sorting, mask_size, masking, only, only_single_formats, saturated,
+};
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{
     AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties, Resolved, Technique,
@@ -92,7 +95,7 @@ pub static INFO: Info = Info {
     bytes_per_pixel: "all: layers (4 + b / 8) + 20 for masks, 8 layers + 20 for alphas; stored: layers (20 + b / 8) for \
                       masks, 20 layers for alphas; half of that in f16, b / 8 aside",
     build,
-    gpu: None,
+    gpu: Some(gpu),
 };
 
 static TARGETS: [Target; 5] = [
@@ -125,6 +128,33 @@ fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
         1 => setup.masked::<OneWord>(masks),
         2 => setup.masked::<TwoWords>(masks),
         _ => setup.masked::<ManyWords>(masks),
+    })
+}
+
+/// Its form on a GPU: over sorted lists, with nodes in f32 and the CPU's masks.
+fn gpu(params: &Params, view: &View) -> Result<Form> {
+    only_single_formats(params, INFO.targets)?;
+    only(params, "replay", "sorted")?;
+    let sizes = vec![mask_size(params, "bits")?];
+    let (accumulate, composite) = match Setup::from_params(params, view).accumulate {
+        Accumulate::Stored => (0, Composite::None),
+        Accumulate::All(composite) => (1, composite),
+        Accumulate::Tail => (2, Composite::None),
+    };
+    let more = [
+        saturated(params.size("layers")),
+        Number::Whole((params.text("variant") == "mask").into()),
+        Number::Whole(accumulate),
+        composite.number(),
+    ];
+    let masking = masking(params, "bits", params.text("probability") == "stratified");
+    Ok(Form {
+        own_weight: None,
+        shader: include_str!("../../shaders/slab.wgsl"),
+        numbers: masking.into_iter().chain(more).collect(),
+        path: Path::Listed(Listing { resolve: "resolve", sorted: Sorting::Depth, layers: None, sizes }),
+        shows_zero_fragments: false,
+        colored_transmittance: false,
     })
 }
 

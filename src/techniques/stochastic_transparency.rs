@@ -16,6 +16,7 @@ use crate::diagnosis::{Diagnosis, Faults};
 use crate::error::Result;
 use crate::format::{Format, Formats, Target};
 use crate::fragments::{Fragment, List};
+use crate::gpu::form::{Form, Listing, Number, Path, Sorting, mask_size, masking, only_single_formats};
 use crate::order::sort_key;
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{
@@ -69,7 +70,7 @@ pub static INFO: Info = Info {
     geometry_passes: "color: 1, 1 more for correction=\"alpha\"; depth: 2",
     bytes_per_pixel: "color: 20 samples, 4 more for correction=\"alpha\"; depth: 4 samples + 20 (sums and R); half of that in f16",
     build,
-    gpu: None,
+    gpu: Some(gpu),
 };
 
 static TARGETS: [Target; 4] = [
@@ -85,6 +86,23 @@ fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
         0 | 1 => build_with::<OneWord>(params, &formats, view),
         2 => build_with::<TwoWords>(params, &formats, view),
         _ => build_with::<ManyWords>(params, &formats, view),
+    })
+}
+
+/// Its form on a GPU: over sorted lists, with nodes in f32 and the CPU's masks.
+fn gpu(params: &Params, _view: &View) -> Result<Form> {
+    only_single_formats(params, INFO.targets)?;
+    let sizes = vec![mask_size(params, "samples")?];
+    let resolve = if params.text("mode") == "color" { "resolve_colors" } else { "resolve_depths" };
+    let masking = masking(params, "samples", params.bool("stratified"));
+    let corrected = Number::Whole((params.text("correction") == "alpha").into());
+    Ok(Form {
+        own_weight: None,
+        shader: include_str!("../../shaders/stochastic_transparency.wgsl"),
+        numbers: masking.into_iter().chain([corrected]).collect(),
+        path: Path::Listed(Listing { resolve, sorted: Sorting::Depth, layers: None, sizes }),
+        shows_zero_fragments: false,
+        colored_transmittance: false,
     })
 }
 

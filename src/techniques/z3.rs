@@ -8,6 +8,7 @@ use crate::continuum::nodes::{LAYERS, Nodes};
 use crate::continuum::normalize::Unnormalized;
 use crate::continuum::opacity::Alpha;
 use crate::error::Result;
+use crate::gpu::form::{Form, Listing, Number, Path, layers, only_default_formats, submission};
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{AnyTechnique, Axes, Cost, Info};
 use crate::techniques::ANY_ORDER;
@@ -43,7 +44,7 @@ pub static INFO: Info = Info {
     geometry_passes: "1",
     bytes_per_pixel: "20 layers in f32, 10 in f16, 8 as rgba8 and an f32",
     build,
-    gpu: None,
+    gpu: Some(gpu),
 };
 
 fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
@@ -57,6 +58,22 @@ fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
         properties: MERGED,
     };
     Ok(list.stored(nodes))
+}
+
+/// Its form on a GPU: over lists in submission order, with f32 nodes.
+fn gpu(params: &Params, _view: &View) -> Result<Form> {
+    only_default_formats(params, INFO.targets)?;
+    let (sorted, backwards) = submission(params)?;
+    let layers = Some(layers(params)?);
+    let at_mean = Number::Whole((params.text("merge_depth") == "mean").into());
+    Ok(Form {
+        own_weight: None,
+        shader: include_str!("../../shaders/z3.wgsl"),
+        numbers: vec![backwards, at_mean],
+        path: Path::Listed(Listing { resolve: "resolve", sorted, layers, sizes: vec![] }),
+        shows_zero_fragments: false,
+        colored_transmittance: false,
+    })
 }
 
 #[cfg(test)]
