@@ -108,12 +108,7 @@ fn gpu(params: &Params, _view: &View) -> Result<Form> {
     Ok(Form {
         shader: include_str!("../../shaders/phenomenological.wgsl"),
         numbers: weight.into_iter().chain(transmission.into_iter().chain(more).map(Number::float)).collect(),
-        path: Path::Blended(Blending {
-            draw: "accumulate",
-            resolve: "resolve",
-            targets,
-            over_background: false,
-        }),
+        path: Path::Blended(Blending::once("accumulate", "resolve", targets)),
         shows_zero_fragments: false,
         colored_transmittance: true,
     })

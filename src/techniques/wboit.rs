@@ -118,7 +118,7 @@ fn gpu(params: &Params, _view: &View) -> Result<Form> {
     Ok(Form {
         shader: include_str!("../../shaders/wboit.wgsl"),
         numbers: numbers.into_iter().chain(more).collect(),
-        path: Path::Blended(Blending { draw, resolve, targets, over_background: false }),
+        path: Path::Blended(Blending::once(draw, resolve, targets)),
         shows_zero_fragments: false,
         colored_transmittance: false,
     })

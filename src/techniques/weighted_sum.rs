@@ -59,12 +59,7 @@ fn gpu(params: &Params, _view: &View) -> Result<Form> {
     Ok(Form {
         shader: include_str!("../../shaders/weighted_sum.wgsl"),
         numbers: vec![Number::float(format.max_finite(0))],
-        path: Path::Blended(Blending {
-            draw: "accumulate",
-            resolve: "resolve",
-            targets,
-            over_background: false,
-        }),
+        path: Path::Blended(Blending::once("accumulate", "resolve", targets)),
         shows_zero_fragments: false,
         colored_transmittance: false,
     })
