@@ -7,5 +7,5 @@ fn cover_all(@builtin(vertex_index) index: u32) -> @builtin(position) vec4f {
 
 @fragment
 fn show_background(@builtin(position) position: vec4f) -> @location(0) vec4f {
-    return vec4f(background_at(vec2u(position.xy)), 1.0);
+    return vec4f(background_at(pixel_at(position)), 1.0);
 }

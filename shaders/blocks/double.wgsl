@@ -40,3 +40,42 @@ fn reciprocal(x: vec2f) -> f32 {
     residual = unseen(residual - q_lower * x_lower);
     return q + q * unseen(residual - q * x.y);
 }
+
+// a b, and what rounding took away from it (Dekker 1971).
+fn two_product(a: f32, b: f32) -> vec2f {
+    let product = unseen(a * b);
+    let a_upper = upper_half(a);
+    let a_lower = unseen(a - a_upper);
+    let b_upper = upper_half(b);
+    let b_lower = unseen(b - b_upper);
+    let upper = unseen(unseen(a_upper * b_upper) - product);
+    let middle = unseen(unseen(upper + unseen(a_upper * b_lower)) + unseen(a_lower * b_upper));
+    return vec2f(product, unseen(middle + unseen(a_lower * b_lower)));
+}
+
+fn sum_of(a: vec2f, b: vec2f) -> vec2f {
+    let sum = two_sum(a.x, b.x);
+    return two_sum(sum.x, sum.y + (a.y + b.y));
+}
+
+// a k, for a k of one part.
+fn times(a: vec2f, k: f32) -> vec2f {
+    let product = two_product(a.x, k);
+    return two_sum(product.x, product.y + a.y * k);
+}
+
+// a / b.
+fn quotient(a: vec2f, b: vec2f) -> vec2f {
+    let first = unseen(a.x / b.x);
+    let rest = sum_of(a, -times(b, first));
+    return two_sum(first, rest.x / b.x);
+}
+
+fn is_less(a: vec2f, b: vec2f) -> bool {
+    return a.x < b.x || (a.x == b.x && a.y < b.y);
+}
+
+fn product_of(a: vec2f, b: vec2f) -> vec2f {
+    let product = two_product(a.x, b.x);
+    return two_sum(product.x, product.y + (a.x * b.y + a.y * b.x));
+}

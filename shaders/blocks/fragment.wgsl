@@ -38,6 +38,8 @@ struct VaryingColor {
 override perspective: bool = true;
 // Fragments that neither cover nor emit are fragments, too.
 override shows_zero_fragments: bool = false;
+// The first attachment of a pass that draws its targets in parts.
+override first_output: u32 = 0u;
 
 const NO_VARYING_COLOR = 0xffffffffu;
 const CENTER = 128;
@@ -173,7 +175,7 @@ fn varying_color_at(index: u32, d: vec2f) -> vec4f {
 // What is to be seen of a primitive in a pixel; nothing of what is not.
 fn fragment_of(placed: Placed) -> Fragment {
     var fragment: Fragment;
-    fragment.pixel = vec2u(placed.position.xy);
+    fragment.pixel = pixel_at(placed.position);
     fragment.primitive = placed.meta_data.x;
     if placed.meta_data.w > 0u && !outline_covers(placed.meta_data.z, placed.meta_data.w, fragment.pixel) {
         discard;

@@ -29,6 +29,16 @@ fn background_at(pixel: vec2u) -> vec3f {
     return textureLoad(opaque_color, pixel, 0).rgb;
 }
 
+// A pixel's place in the targets of the rows at hand.
+fn texel_of(pixel: vec2u) -> vec2u {
+    return vec2u(pixel.x, pixel.y - frame.first_row);
+}
+
+// The pixel of a place in them.
+fn pixel_at(position: vec4f) -> vec2u {
+    return vec2u(u32(position.x), u32(position.y) + frame.first_row);
+}
+
 // Where a pixel's numbers are among those of the whole image.
 fn place_of(pixel: vec2u) -> u32 {
     return pixel.y * frame.size.x + pixel.x;

@@ -33,3 +33,4 @@ pub mod stored_pass;
 pub mod stored_sums;
 pub mod stored_tail;
 pub mod sums;
+pub mod two_pass_form;

@@ -1,6 +1,7 @@
 //! The depth interval that bins and series divide (sheet 0.6).
 
 use crate::fragments::List;
+use crate::gpu::form::Number;
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use multiversion::multiversion;
 
@@ -46,6 +47,18 @@ impl DepthRange {
             Self::Pixel => list.depth_bounds().map_or((0.0, 0.0), |(lo, hi)| (lo.into(), hi.into())),
             Self::Fixed(lo, hi) => (lo, hi),
         }
+    }
+
+    /// The bounds as a shader has them, each a sum of two, and whether they are the pixel's.
+    pub fn numbers(&self) -> [Number; 5] {
+        let (lo, hi) = match *self {
+            Self::Pixel => (0.0, 0.0),
+            Self::Fixed(lo, hi) => (lo, hi),
+        };
+        // no depth is as far away, and shaders multiply what lies between
+        let beyond = 2.0_f64.powi(100);
+        let [[lo, more_lo], [hi, more_hi]] = [lo, hi].map(|x| Number::in_two(x.clamp(-beyond, beyond)));
+        [lo, more_lo, hi, more_hi, Number::Whole((*self == Self::Pixel).into())]
     }
 
     /// Whether no fragment of the view is clamped.

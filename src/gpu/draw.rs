@@ -1,16 +1,15 @@
-//! Passes: blending fragments in render targets, and making an image of what that leaves.
+//! What all passes over the geometry and over the image share.
 
 use super::device::Connection;
-use super::form::{Blending, Form, Path, background_module};
-use super::layouts::{Draws, Entry, Layouts, blended, plain};
-use super::picture::{Picture, buffer, bytes_of, texture};
+use super::form::{Form, Path};
+use super::layouts::Layouts;
+use super::picture::{Picture, buffer, bytes_of};
 use super::recorder::{Recorder, Stage, Times};
 use crate::error::Result;
 use std::ops::Range;
 use wgpu::{
     BindGroup, BindGroupDescriptor, BindGroupEntry, BindGroupLayout, BindingResource, Buffer, BufferUsages,
-    Color, ColorWrites, LoadOp, Operations, RenderPass, RenderPassColorAttachment, StoreOp, TextureFormat,
-    TextureUsages, TextureView, TextureViewDescriptor,
+    Color, LoadOp, Operations, RenderPass, RenderPassColorAttachment, StoreOp, TextureView,
 };
 
 /// Bytes of a pixel in the image that a resolve writes.
@@ -121,76 +120,6 @@ impl Gpu {
         limits.max_storage_buffer_binding_size.min(limits.max_buffer_size)
     }
 
-    /// Hardware blending, then the resolve.
-    fn blended(
-        &mut self,
-        picture: &Picture,
-        form: &Form,
-        blending: &Blending,
-        stop: Stop<'_>,
-    ) -> Result<Image> {
-        let formats = self.connection.target_formats(blending)?;
-        let size = (picture.width, picture.height);
-        let usage = TextureUsages::RENDER_ATTACHMENT | TextureUsages::TEXTURE_BINDING;
-        let views: Vec<TextureView> = formats
-            .iter()
-            .map(|format| {
-                texture(&self.connection, "target", size, *format, usage)
-                    .create_view(&TextureViewDescriptor::default())
-            })
-            .collect();
-        let params: Vec<_> = form.numbers.iter().map(|number| number.bits()).collect();
-        let module = form.module();
-        let bands = self.bands_of_rows(picture, form);
-        let second = views.get(1).unwrap_or(&picture.opaque_depth);
-        let targets = group(
-            &self.connection,
-            &self.layouts.targets,
-            &[BindingResource::TextureView(&views[0]), BindingResource::TextureView(second)],
-        );
-        let mut image = Image::default();
-        for band in &bands {
-            let frame = self.frame(picture, band, &params);
-            let Self { connection, layouts, .. } = self;
-            let mut recorder = Recorder::new(connection, stop);
-            if band.start == 0 {
-                let targets = (&views[..], &formats[..]);
-                draw_blended(
-                    connection,
-                    layouts,
-                    &mut recorder,
-                    picture,
-                    form,
-                    blending,
-                    &module,
-                    targets,
-                    &frame,
-                )?;
-            }
-            let entry = Entry { module: &module, point: blending.resolve };
-            let pipeline = layouts.compute(&connection.device, entry, false, true, &[]);
-            resolve(
-                connection,
-                layouts,
-                recorder,
-                picture,
-                form,
-                band,
-                &pipeline,
-                [&frame, &targets],
-                &mut image,
-            )?;
-        }
-        Ok(image)
-    }
-
-    /// As many rows at a time as fit into one buffer.
-    fn bands_of_rows(&self, picture: &Picture, form: &Form) -> Vec<Range<u32>> {
-        let most = self.rows_per_band(picture, form);
-        let starts = (0..picture.height).step_by(most as usize);
-        starts.map(|first| first..(first + most).min(picture.height)).collect()
-    }
-
     pub(super) fn rows_per_band(&self, picture: &Picture, form: &Form) -> u32 {
         let row = texel_bytes(form) * u64::from(picture.width);
         u32::try_from(self.most_bytes() / row).unwrap_or(u32::MAX).max(1)
@@ -258,56 +187,16 @@ pub(super) fn attachment(
     })
 }
 
+/// Draws into targets that hold these rows of the image.
 pub(super) fn draw_primitives(pass: &mut RenderPass<'_>, picture: &Picture, rows: &Range<u32>) {
     #[expect(clippy::cast_precision_loss, reason = "whole numbers of less than 2^24")]
     let ((x, y), size) =
         ((picture.viewport.origin.0 as f32, picture.viewport.origin.1 as f32), picture.viewport.size as f32);
-    pass.set_viewport(x, y, size, size, 0.0, 1.0);
-    pass.set_scissor_rect(0, rows.start, picture.width, rows.end - rows.start);
+    #[expect(clippy::cast_precision_loss, reason = "likewise")]
+    pass.set_viewport(x, y - rows.start as f32, size, size, 0.0, 1.0);
+    pass.set_scissor_rect(0, 0, picture.width, rows.end - rows.start);
     for (geometry, primitives) in &picture.batches {
         pass.set_bind_group(1, geometry, &[]);
         pass.draw(0..3 * primitives, 0..1);
     }
-}
-
-#[expect(clippy::too_many_arguments, reason = "a pass and all that it reads")]
-fn draw_blended(
-    connection: &Connection,
-    layouts: &mut Layouts,
-    recorder: &mut Recorder<'_>,
-    picture: &Picture,
-    form: &Form,
-    blending: &Blending,
-    module: &str,
-    (views, formats): (&[TextureView], &[TextureFormat]),
-    frame: &BindGroup,
-) -> Result<()> {
-    if blending.over_background {
-        let entry = Entry { module: &background_module(), point: "show_background" };
-        let states = [plain(formats[0], ColorWrites::ALL)];
-        let pipeline = layouts.render(&connection.device, entry, Draws::Background, &states);
-        let target = attachment(&views[0], LoadOp::Clear(Color::TRANSPARENT), StoreOp::Store);
-        recorder.render(Stage::Raster, &[target], |pass| {
-            pass.set_pipeline(&pipeline);
-            pass.set_bind_group(0, frame, &[]);
-            pass.draw(0..3, 0..1);
-        })?;
-    }
-    let states: Vec<_> =
-        blending.targets.iter().zip(formats).map(|(target, format)| blended(target, *format)).collect();
-    let zero_fragments = form.shows_zero_fragments;
-    let draws = Draws::Primitives { perspective: picture.perspective, zero_fragments };
-    let pipeline = layouts.render(&connection.device, Entry { module, point: blending.draw }, draws, &states);
-    let load = |(i, [r, g, b, a]): (usize, [f64; 4])| match i {
-        0 if blending.over_background => LoadOp::Load,
-        _ => LoadOp::Clear(Color { r, g, b, a }),
-    };
-    let clears = blending.targets.iter().map(|target| target.clear).enumerate().map(load);
-    let targets: Vec<_> =
-        views.iter().zip(clears).map(|(view, load)| attachment(view, load, StoreOp::Store)).collect();
-    recorder.render(Stage::Raster, &targets, |pass| {
-        pass.set_pipeline(&pipeline);
-        pass.set_bind_group(0, frame, &[]);
-        draw_primitives(pass, picture, &(0..picture.height));
-    })
 }

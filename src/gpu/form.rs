@@ -4,6 +4,7 @@
 use crate::error::Result;
 use crate::format::{Format, Formats, Target};
 use crate::params::{Params, View};
+use std::ops::Range;
 
 /// A technique's entry in the registry: makes its form under params, or refuses params that have none.
 pub type MakeForm = fn(&Params, &View) -> Result<Form>;
@@ -43,6 +44,17 @@ impl Number {
         }
     }
 
+    /// A number of things; more than 2^32 are as many as there are.
+    pub fn size(count: usize) -> Self {
+        Self::Whole(u32::try_from(count).unwrap_or(u32::MAX))
+    }
+
+    /// A double as a sum of two of the shader's floats.
+    pub fn in_two(x: f64) -> [Self; 2] {
+        let Self::Float(first) = Self::float(x) else { unreachable!("it is a float") };
+        [Self::Float(first), Self::float(x - f64::from(first))]
+    }
+
     /// A double as the shader's float.
     pub fn float(x: f64) -> Self {
         Self::Float(nearest(x))
@@ -58,11 +70,6 @@ impl Number {
     pub fn above(x: f64) -> Self {
         let near = nearest(x);
         Self::Float(if f64::from(near) < x { near.next_up() } else { near })
-    }
-
-    /// A double as the sum of two floats.
-    pub fn floats(x: f64) -> [Self; 2] {
-        [Self::float(x), Self::float(x - f64::from(nearest(x)))]
     }
 }
 
@@ -151,17 +158,41 @@ pub fn seed(params: &Params) -> [Number; 2] {
     [Number::Whole(seed as u32), Number::Whole((seed >> 32) as u32)]
 }
 
-/// One pass over the geometry into render targets, and one over the image that reads them.
+/// Passes over the geometry into render targets, and one over the image that reads them.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Blending {
-    /// The fragment shader's entry point.
-    pub draw: &'static str,
-    /// The compute shader's.
-    pub resolve: &'static str,
-    /// What is drawn into.
+    /// What is drawn into. A shader finds target i at binding i of group 2; one that nobody draws into is a placeholder.
     pub targets: Vec<BlendTarget>,
+    /// The passes over the geometry.
+    pub draws: Vec<Draw>,
+    /// The compute shader's entry point.
+    pub resolve: &'static str,
     /// Whether the first target holds the background when drawing begins.
     pub over_background: bool,
+    /// Shared parts of the shader beside those that all have.
+    pub blocks: &'static [&'static str],
+    /// Words per pixel of a buffer that all shaders read and write, 0 at first; its binding follows those of the targets.
+    pub words: u32,
+}
+
+/// A pass over the geometry.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Draw {
+    /// The fragment shader's entry point.
+    pub shader: &'static str,
+    /// The targets that it draws into. It may read those before them.
+    pub targets: Range<usize>,
+    /// Whether it draws in parts where the device takes fewer attachments at a time: the shader gives those from
+    /// `first_output` on.
+    pub in_parts: bool,
+}
+
+impl Blending {
+    /// One pass into all targets.
+    pub fn once(draw: &'static str, resolve: &'static str, targets: Vec<BlendTarget>) -> Self {
+        let draws = vec![Draw { shader: draw, targets: 0..targets.len(), in_parts: false }];
+        Self { targets, draws, resolve, over_background: false, blocks: &[], words: 0 }
+    }
 }
 
 /// A render target.
@@ -173,6 +204,8 @@ pub struct BlendTarget {
     pub format: Format,
     /// Numbers per texel.
     pub channels: u32,
+    /// The param that chooses how many layers it has, and their number, if it is an array of them.
+    pub layers: Option<(&'static str, u32)>,
     /// What its texels are at first.
     pub clear: [f64; 4],
     /// What becomes of the colour channels ...
@@ -192,6 +225,8 @@ pub enum Blend {
     Attenuate,
     /// source there, channel by channel.
     Multiply,
+    /// The larger one, channel by channel.
+    Max,
 }
 
 /// A shared part of the shaders.
@@ -210,6 +245,24 @@ const ABSORBANCE: &str = include_str!("../../shaders/blocks/absorbance.wgsl");
 const SUMS_OF_LISTS: &str = include_str!("../../shaders/blocks/sums.wgsl");
 const MASKS: &str = include_str!("../../shaders/blocks/masks.wgsl");
 const SHARES_OF_LAYERS: &str = include_str!("../../shaders/blocks/shares.wgsl");
+/// Blocks that forms ask for.
+pub mod blocks {
+    /// Logarithms and the like of a known precision.
+    pub const FUNCTIONS: &str = include_str!("../../shaders/blocks/functions.wgsl");
+    /// Places in depth intervals.
+    pub const INTERVAL: &str = include_str!("../../shaders/blocks/interval.wgsl");
+    /// What a pass gives that is drawn in parts.
+    pub const OUTPUTS: &str = include_str!("../../shaders/blocks/outputs.wgsl");
+    /// A map of transmittance, and all fragments seen through it.
+    pub const TWO_PASS: &str = include_str!("../../shaders/blocks/two_pass.wgsl");
+    /// A map of coefficients.
+    pub const COEFFICIENTS: &str = include_str!("../../shaders/blocks/coefficients.wgsl");
+    /// A map of moments.
+    pub const MOMENTS: &str = include_str!("../../shaders/blocks/moments.wgsl");
+    /// A map of bins.
+    pub const BINS: &str = include_str!("../../shaders/blocks/bins.wgsl");
+}
+
 const BACKGROUND: &str = include_str!("../../shaders/blocks/background.wgsl");
 
 /// The module that counts, stores and sorts fragments, and the one that puts the background into a target: no
@@ -257,17 +310,30 @@ impl Listing {
 }
 
 impl Form {
+    /// Whether a pass that is drawn in parts is in its first one.
+    fn first_part(&self) -> &'static str {
+        match &self.path {
+            Path::Blended(blending) if blending.blocks.contains(&blocks::OUTPUTS) => {
+                "fn is_first_part() -> bool { return first_output == 0u; }"
+            }
+            _ => "fn is_first_part() -> bool { return true; }",
+        }
+    }
+
     /// The shader with the blocks that it may use.
     pub fn module(&self) -> String {
         let mut parts = vec![FRAME, DOUBLE, FRAGMENT, WEIGHT_BOUNDS];
         match &self.own_weight {
-            Some(own) => parts.extend([own.as_str(), OWN_WEIGHT]),
+            Some(own) => parts.extend([own.as_str(), self.first_part(), OWN_WEIGHT]),
             None => parts.push(WEIGHT),
         }
         parts.extend([SHARES_OF_LAYERS, RESOLVE]);
-        // the blend unit's techniques may have a form with lists in the same file
-        parts.extend([LISTS, RANDOM, CHANCE, ABSORBANCE, SUMS_OF_LISTS]);
         let constants;
+        match &self.path {
+            Path::Blended(blending) if !blending.blocks.is_empty() => parts.extend(blending.blocks),
+            // the blend unit's techniques may have a form with lists in the same file
+            _ => parts.extend([LISTS, RANDOM, CHANCE, ABSORBANCE, SUMS_OF_LISTS]),
+        }
         if let Path::Listed(listing) = &self.path {
             constants = listing.constants();
             parts.push(&constants);
@@ -286,12 +352,24 @@ impl Form {
 impl BlendTarget {
     /// Sums that begin with zero.
     pub fn sums(param: &'static str, format: Format, channels: u32) -> Self {
-        Self { param, format, channels, clear: [0.0; 4], color: Blend::Add, alpha: Blend::Add }
+        Self { param, format, channels, layers: None, clear: [0.0; 4], color: Blend::Add, alpha: Blend::Add }
     }
 
     /// A product of 1 − source, or of sources, that begins with one.
     pub fn product(param: &'static str, format: Format, channels: u32, blend: Blend) -> Self {
-        Self { param, format, channels, clear: [1.0; 4], color: blend, alpha: blend }
+        Self { clear: [1.0; 4], color: blend, alpha: blend, ..Self::sums(param, format, channels) }
+    }
+
+    /// The bounds of a pixel's depths, (−nearest, farthest), chosen by a param of ranges.
+    pub fn bounds(param: &'static str) -> Self {
+        let least = [f64::from(f32::MIN); 4];
+        let all = Self::sums(param, Format::F32, 2);
+        Self { clear: least, color: Blend::Max, alpha: Blend::Max, ..all }
+    }
+
+    /// An array of so many of them, chosen by that param.
+    pub fn array(self, param: &'static str, layers: u32) -> Self {
+        Self { layers: Some((param, layers)), ..self }
     }
 
     /// The same with a product of 1 − alpha in the alpha channel.
@@ -401,13 +479,14 @@ mod tests {
         let forms: Vec<_> = REGISTRY.iter().filter(|info| info.gpu.is_some()).collect();
         assert!(forms.len() >= 8, "{}", forms.len());
         for info in forms {
-            // layered rendering has no form yet, lists have
-            let given: &[_] = if info.id == "lwboit" { &[("storage", "ll")] } else { &[] };
-            let form = form(info, given).unwrap();
+            let form = form(info, &[]).unwrap();
             let module = validated(info.id, &form.module());
             let (size, names) = interface(&module);
             let needed = match &form.path {
-                Path::Blended(blending) => vec!["place", blending.draw, blending.resolve],
+                Path::Blended(blending) => {
+                    let draws = blending.draws.iter().map(|draw| draw.shader);
+                    ["place", blending.resolve].into_iter().chain(draws).collect()
+                }
                 Path::Listed(listing) => vec!["place", "count_fragment", "sort_lists", listing.resolve],
             };
             assert!(needed.iter().all(|name| names.contains(name)), "{}: {names:?}", info.id);
@@ -435,7 +514,8 @@ mod tests {
             let Path::Blended(blending) = &form.path else { panic!("{form:?}") };
             let module = validated(layout, &form.module());
             let names = interface(&module).1;
-            assert!(names.contains(&blending.draw) && names.contains(&blending.resolve), "{names:?}");
+            assert!(names.contains(&blending.draws[0].shader), "{names:?}");
+            assert!(names.contains(&blending.resolve), "{names:?}");
         }
     }
 

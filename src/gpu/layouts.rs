@@ -13,9 +13,6 @@ use wgpu::{
     TextureFormatFeatureFlags, TextureSampleType, TextureUsages, TextureViewDimension,
 };
 
-/// Most render targets that a technique has.
-const TARGETS: u32 = 2;
-
 /// Everything that is made once per device.
 #[derive(Debug)]
 pub struct Layouts {
@@ -23,8 +20,8 @@ pub struct Layouts {
     pub frame: BindGroupLayout,
     /// Group 1: primitives.
     pub geometry: BindGroupLayout,
-    /// Group 2 of a resolve: render targets.
-    pub targets: BindGroupLayout,
+    /// Group 2 of whoever reads render targets.
+    targets: HashMap<Vec<Option<Reading>>, BindGroupLayout>,
     /// Group 2 of whoever keeps lists.
     pub lists: BindGroupLayout,
     /// Group 3: the image.
@@ -47,6 +44,14 @@ fn buffer(ty: BufferBindingType) -> BindingType {
     BindingType::Buffer { ty, has_dynamic_offset: false, min_binding_size: None }
 }
 
+/// What can be written: the vertex shader must not see it.
+fn written(binding: u32) -> BindGroupLayoutEntry {
+    BindGroupLayoutEntry {
+        visibility: ShaderStages::FRAGMENT | ShaderStages::COMPUTE,
+        ..entry(binding, buffer(WRITE))
+    }
+}
+
 const READ: BufferBindingType = BufferBindingType::Storage { read_only: true };
 const WRITE: BufferBindingType = BufferBindingType::Storage { read_only: false };
 const TEXTURE: BindingType = BindingType::Texture {
@@ -54,14 +59,67 @@ const TEXTURE: BindingType = BindingType::Texture {
     view_dimension: TextureViewDimension::D2,
     multisampled: false,
 };
+const ARRAY: BindingType = BindingType::Texture {
+    sample_type: TextureSampleType::Float { filterable: false },
+    view_dimension: TextureViewDimension::D2Array,
+    multisampled: false,
+};
+
+/// What a shader finds at a binding of group 2.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Reading {
+    /// A render target.
+    Texture,
+    /// Layers of one.
+    Array,
+    /// Words that it may write, too.
+    Words,
+}
+
+/// Group 2 of a shader.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Reads<'a> {
+    Nothing,
+    Lists,
+    /// What is to be found at each binding, if anything.
+    Targets(&'a [Option<Reading>]),
+}
 
 /// What a render pipeline is for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Draws {
-    /// Primitives.
-    Primitives { perspective: bool, zero_fragments: bool },
+    /// Primitives, into the attachments from the first one on.
+    Primitives { perspective: bool, zero_fragments: bool, first_output: u32 },
     /// The whole image.
     Background,
+}
+
+impl Draws {
+    /// The vertex shader, and constants of both shaders.
+    fn vertex(self) -> (&'static str, Vec<(&'static str, f64)>) {
+        let flag = |on: bool| f64::from(u8::from(on));
+        match self {
+            Self::Background => ("cover_all", vec![]),
+            Self::Primitives { perspective, zero_fragments, first_output } => {
+                let constants = vec![
+                    ("perspective", flag(perspective)),
+                    ("shows_zero_fragments", flag(zero_fragments)),
+                    ("first_output", first_output.into()),
+                ];
+                ("place", constants)
+            }
+        }
+    }
+}
+
+impl Reading {
+    fn entry(self, binding: u32) -> BindGroupLayoutEntry {
+        match self {
+            Self::Texture => entry(binding, TEXTURE),
+            Self::Array => entry(binding, ARRAY),
+            Self::Words => written(binding),
+        }
+    }
 }
 
 /// The shader of a pipeline.
@@ -76,11 +134,6 @@ impl Layouts {
         let layout = |label, entries: &[BindGroupLayoutEntry]| {
             device.create_bind_group_layout(&BindGroupLayoutDescriptor { label: Some(label), entries })
         };
-        // the vertex shader must not see what can be written
-        let written = |binding| BindGroupLayoutEntry {
-            visibility: ShaderStages::FRAGMENT | ShaderStages::COMPUTE,
-            ..entry(binding, buffer(WRITE))
-        };
         let uniform = buffer(BufferBindingType::Uniform);
         Self {
             frame: layout(
@@ -88,7 +141,7 @@ impl Layouts {
                 &[entry(0, uniform), entry(1, TEXTURE), entry(2, TEXTURE), entry(3, uniform), written(4)],
             ),
             geometry: layout("geometry", &[0, 1, 2].map(|binding| entry(binding, buffer(READ)))),
-            targets: layout("targets", &[0, 1].map(|binding| entry(binding, TEXTURE))),
+            targets: HashMap::new(),
             lists: layout("lists", &[0, 1, 2, 3, 4, 5].map(written)),
             output: layout("output", &[written(0)]),
             modules: HashMap::new(),
@@ -105,12 +158,30 @@ impl Layouts {
         module.clone()
     }
 
+    /// The layout of group 2; none where there is no such group.
+    pub fn second(&mut self, device: &Device, reads: Reads<'_>) -> Option<BindGroupLayout> {
+        let readings = match reads {
+            Reads::Nothing => return None,
+            Reads::Lists => return Some(self.lists.clone()),
+            Reads::Targets(readings) => readings,
+        };
+        let layout = self.targets.entry(readings.to_vec()).or_insert_with(|| {
+            let there =
+                readings.iter().zip(0..).filter_map(|(reading, binding)| Some((binding, (*reading)?)));
+            let entries: Vec<_> = there.map(|(binding, reading)| reading.entry(binding)).collect();
+            let label = Some("targets");
+            device.create_bind_group_layout(&BindGroupLayoutDescriptor { label, entries: &entries })
+        });
+        Some(layout.clone())
+    }
+
     /// The pipeline that draws into some targets.
     pub fn render(
         &mut self,
         device: &Device,
         shader: Entry<'_>,
         draws: Draws,
+        reads: Reads<'_>,
         targets: &[ColorTargetState],
     ) -> Arc<RenderPipeline> {
         let key = format!("{} {draws:?} {targets:?}\n{}", shader.point, shader.module);
@@ -118,26 +189,18 @@ impl Layouts {
             return Arc::clone(pipeline);
         }
         let module = self.module(device, shader.module);
-        let writes_lists = targets.iter().all(|target| target.write_mask.is_empty());
-        let groups = [Some(&self.frame), Some(&self.geometry), writes_lists.then_some(&self.lists)];
+        let second = self.second(device, reads);
+        let groups = [Some(&self.frame), Some(&self.geometry), second.as_ref()];
         let groups = match draws {
             Draws::Background => &groups[..1],
-            Draws::Primitives { .. } => &groups[..2 + usize::from(writes_lists)],
+            Draws::Primitives { .. } => &groups[..2 + usize::from(second.is_some())],
         };
         let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
             label: None,
             bind_group_layouts: groups,
             immediate_size: 0,
         });
-        let flag = |on: bool| f64::from(u8::from(on));
-        let (vertex, constants) = match draws {
-            Draws::Background => ("cover_all", vec![]),
-            Draws::Primitives { perspective, zero_fragments } => {
-                let flags =
-                    [("perspective", flag(perspective)), ("shows_zero_fragments", flag(zero_fragments))];
-                ("place", flags.to_vec())
-            }
-        };
+        let (vertex, constants) = draws.vertex();
         let options = wgpu::PipelineCompilationOptions {
             constants: &constants,
             zero_initialize_workgroup_memory: false,
@@ -167,12 +230,12 @@ impl Layouts {
         Arc::clone(self.renders.entry(key).or_insert(Arc::new(pipeline)))
     }
 
-    /// The pipeline of a compute shader, which reads lists or, if it does not, render targets.
+    /// The pipeline of a compute shader.
     pub fn compute(
         &mut self,
         device: &Device,
         shader: Entry<'_>,
-        of_lists: bool,
+        reads: Reads<'_>,
         writes_image: bool,
         constants: &[(&str, f64)],
     ) -> Arc<ComputePipeline> {
@@ -181,8 +244,8 @@ impl Layouts {
             return Arc::clone(pipeline);
         }
         let module = self.module(device, shader.module);
-        let second = if of_lists { &self.lists } else { &self.targets };
-        let groups = [Some(&self.frame), None, Some(second), Some(&self.output)];
+        let second = self.second(device, reads);
+        let groups = [Some(&self.frame), None, second.as_ref(), Some(&self.output)];
         let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
             label: None,
             bind_group_layouts: &groups[..3 + usize::from(writes_image)],
@@ -200,9 +263,18 @@ impl Layouts {
     }
 }
 
+/// What attachments of these formats take per sample (WebGPU, "Calculating color attachment bytes per sample").
+pub fn attachment_bytes(formats: impl Iterator<Item = TextureFormat>) -> u32 {
+    formats.fold(0, |bytes: u32, format| {
+        let alignment = format.target_component_alignment().unwrap_or(1);
+        bytes.next_multiple_of(alignment) + format.target_pixel_byte_cost().unwrap_or(0)
+    })
+}
+
 fn texture_format(format: Format, channels: u32) -> Option<TextureFormat> {
     Some(match (format, channels) {
         (Format::F32, 1) => TextureFormat::R32Float,
+        (Format::F32, 2) => TextureFormat::Rg32Float,
         (Format::F32, _) => TextureFormat::Rgba32Float,
         (Format::F16, 1) => TextureFormat::R16Float,
         (Format::F16, _) => TextureFormat::Rgba16Float,
@@ -215,11 +287,16 @@ fn texture_format(format: Format, channels: u32) -> Option<TextureFormat> {
     })
 }
 
-/// The feature without which a format is not blended, and what does without it.
-fn missing(format: Format, features: Features) -> &'static str {
-    match format {
+/// The feature without which a target is not blended, and what does without it.
+fn missing(target: &BlendTarget, features: Features) -> &'static str {
+    match target.format {
         Format::F32 if !features.contains(Features::FLOAT32_BLENDABLE) => {
-            " (FLOAT32_BLENDABLE is missing); format=\"f16\" does without"
+            if target.color == Blend::Max {
+                // depths are no use in less
+                " (FLOAT32_BLENDABLE is missing); \"scene\" or a pair of depths does without"
+            } else {
+                " (FLOAT32_BLENDABLE is missing); format=\"f16\" does without"
+            }
         }
         Format::Unorm16 if !features.contains(Features::TEXTURE_FORMAT_16BIT_NORM) => {
             " (TEXTURE_FORMAT_16BIT_NORM is missing); \"unorm8\" and \"f16\" do without"
@@ -251,36 +328,54 @@ impl Connection {
         };
         format.filter(fits).ok_or_else(|| {
             let (name, adapter) = (target.format.name(), &self.info.name);
-            let why = missing(target.format, self.features);
+            let why = missing(target, self.features);
             Error::argument(target.param, format!("{adapter} cannot blend {name:?}{why}"))
         })
     }
 
-    /// The formats of all targets.
+    /// The formats of all targets; of those that nobody draws into none.
     ///
     /// # Errors
-    /// As [`Connection::target_format`], and for more targets or bytes than the device takes at a time.
-    pub fn target_formats(&self, blending: &Blending) -> Result<Vec<TextureFormat>> {
-        let formats =
-            blending.targets.iter().map(|target| self.target_format(target)).collect::<Result<Vec<_>>>()?;
-        let bytes: u32 = formats.iter().filter_map(TextureFormat::target_pixel_byte_cost).sum();
-        let most = self.limits.max_color_attachment_bytes_per_sample;
-        if bytes > most || formats.len() > TARGETS as usize {
-            let problem = format!("targets of {bytes} bytes per pixel; {} takes {most}", self.info.name);
-            return Err(Error::argument("format", problem));
+    /// As [`Connection::target_format`], and for more layers, targets or bytes than the device takes at a time.
+    pub fn target_formats(&self, blending: &Blending) -> Result<Vec<Option<TextureFormat>>> {
+        let is_drawn = |i| blending.draws.iter().any(|draw| draw.targets.contains(&i));
+        let format =
+            |(i, target): (usize, &BlendTarget)| is_drawn(i).then(|| self.target_format(target)).transpose();
+        let formats = blending.targets.iter().enumerate().map(format).collect::<Result<Vec<_>>>()?;
+        blending.targets.iter().try_for_each(|target| self.check_layers(target))?;
+        for draw in blending.draws.iter().filter(|draw| !draw.in_parts) {
+            let drawn = formats[draw.targets.clone()].iter().flatten();
+            let bytes = attachment_bytes(drawn.copied());
+            let most = self.limits.max_color_attachment_bytes_per_sample;
+            if bytes > most || draw.targets.len() > self.limits.max_color_attachments as usize {
+                let problem = format!("targets of {bytes} bytes per pixel; {} takes {most}", self.info.name);
+                return Err(Error::argument("format", problem));
+            }
         }
         Ok(formats)
+    }
+
+    fn check_layers(&self, target: &BlendTarget) -> Result<()> {
+        let most = self.limits.max_texture_array_layers;
+        match target.layers {
+            Some((param, layers)) if layers > most => {
+                let problem = format!("{layers} layers of a target; {} has {most}", self.info.name);
+                Err(Error::argument(param, problem))
+            }
+            _ => Ok(()),
+        }
     }
 }
 
 fn component(blend: Blend) -> BlendComponent {
     let (src_factor, dst_factor) = match blend {
-        Blend::Add => (BlendFactor::One, BlendFactor::One),
+        Blend::Add | Blend::Max => (BlendFactor::One, BlendFactor::One),
         Blend::Over => (BlendFactor::One, BlendFactor::OneMinusSrcAlpha),
         Blend::Attenuate => (BlendFactor::Zero, BlendFactor::OneMinusSrc),
         Blend::Multiply => (BlendFactor::Zero, BlendFactor::Src),
     };
-    BlendComponent { src_factor, dst_factor, operation: BlendOperation::Add }
+    let operation = if blend == Blend::Max { BlendOperation::Max } else { BlendOperation::Add };
+    BlendComponent { src_factor, dst_factor, operation }
 }
 
 /// A target that blends.

@@ -3,7 +3,7 @@
 use super::device::Connection;
 use super::draw::{Gpu, Image, Stop, attachment, dispatch, draw_primitives, group, resolve};
 use super::form::{Form, Listing, Sorting, list_module};
-use super::layouts::{Draws, Entry, Layouts, plain};
+use super::layouts::{Draws, Entry, Layouts, Reads, plain};
 use super::picture::{Given, Picture, buffer, bytes_of, texture};
 use super::recorder::{Recorder, Stage, read};
 use crate::error::{Error, Result};
@@ -79,13 +79,8 @@ impl Gpu {
                 None => draw_lists(connection, layouts, &mut recorder, picture, groups, band)?,
             }
             sort_lists(connection, layouts, &mut recorder, picture, groups, band, listing.sorted)?;
-            let pipeline = layouts.compute(
-                &connection.device,
-                Entry { module: &module, point: listing.resolve },
-                true,
-                true,
-                &[],
-            );
+            let entry = Entry { module: &module, point: listing.resolve };
+            let pipeline = layouts.compute(&connection.device, entry, Reads::Lists, true, &[]);
             resolve(connection, layouts, recorder, picture, form, band, &pipeline, groups, &mut image)?;
         }
         Ok(image)
@@ -207,7 +202,7 @@ fn draw_lists(
     }
     let module = list_module();
     let entry = |point| Entry { module: &module, point };
-    let shift = layouts.compute(&connection.device, entry("shift_rows"), true, false, &[]);
+    let shift = layouts.compute(&connection.device, entry("shift_rows"), Reads::Lists, false, &[]);
     dispatch(recorder, Stage::Raster, &shift, &[frame, lists], picture, band)?;
     draw_into_lists(connection, layouts, recorder, picture, "store_fragment", [frame, lists], band)
 }
@@ -228,7 +223,7 @@ fn sort_lists(
     let module = list_module();
     let entry = |point| Entry { module: &module, point };
     let by_submission = [("by_submission", f64::from(u8::from(sorting == Sorting::Submission)))];
-    let sort = layouts.compute(&connection.device, entry("sort_lists"), true, false, &by_submission);
+    let sort = layouts.compute(&connection.device, entry("sort_lists"), Reads::Lists, false, &by_submission);
     dispatch(recorder, Stage::Resolve, &sort, &groups, picture, band)
 }
 
@@ -244,7 +239,7 @@ fn count_fragments(
     let all = 0..picture.height;
     draw_into_lists(connection, layouts, recorder, picture, "count_fragment", [frame, lists], &all)?;
     let entry = Entry { module: &list_module(), point: "sum_rows" };
-    let pipeline = layouts.compute(&connection.device, entry, true, false, &[]);
+    let pipeline = layouts.compute(&connection.device, entry, Reads::Lists, false, &[]);
     recorder.compute(Stage::Raster, |pass| {
         pass.set_pipeline(&pipeline);
         pass.set_bind_group(0, frame, &[]);
@@ -267,14 +262,15 @@ fn draw_into_lists(
     let unused = texture(
         connection,
         "none",
-        (picture.width, picture.height),
+        (picture.width, rows.end - rows.start),
         format,
         TextureUsages::RENDER_ATTACHMENT,
     );
     let unused = unused.create_view(&TextureViewDescriptor::default());
-    let draws = Draws::Primitives { perspective: picture.perspective, zero_fragments: true };
+    let draws = Draws::Primitives { perspective: picture.perspective, zero_fragments: true, first_output: 0 };
     let entry = Entry { module: &list_module(), point };
-    let pipeline = layouts.render(&connection.device, entry, draws, &[plain(format, ColorWrites::empty())]);
+    let states = [plain(format, ColorWrites::empty())];
+    let pipeline = layouts.render(&connection.device, entry, draws, Reads::Lists, &states);
     let target = attachment(&unused, LoadOp::Clear(Color::TRANSPARENT), StoreOp::Discard);
     recorder.render(Stage::Raster, &[target], |pass| {
         pass.set_pipeline(&pipeline);

@@ -4,6 +4,8 @@
 //! submission order, so that both cover the same pixels. What a technique does there is a [`form::Form`].
 
 #[cfg(feature = "gpu")]
+mod blend;
+#[cfg(feature = "gpu")]
 mod device;
 #[cfg(feature = "gpu")]
 mod draw;

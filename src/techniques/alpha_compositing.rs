@@ -58,13 +58,13 @@ pub(super) fn gpu_composite(params: &Params, formats: &Formats) -> Result<Form> 
     let color =
         BlendTarget { color: Blend::Over, ..BlendTarget::sums("color_format", format, 4).with_share() };
     let blending = if formats.are_default() {
-        let (draw, resolve) = ("composite", "add_background");
-        Blending { draw, resolve, targets: vec![color], over_background: false }
+        Blending::once("composite", "add_background", vec![color])
     } else {
         // what is left of the background is nobody's business but ours
         let share = BlendTarget::product("color_format", Format::F32, 1, Blend::Attenuate);
-        let (draw, resolve) = ("composite_over_background", "read_framebuffer");
-        Blending { draw, resolve, targets: vec![color, share], over_background: true }
+        let targets = vec![color, share];
+        let once = Blending::once("composite_over_background", "read_framebuffer", targets);
+        Blending { over_background: true, ..once }
     };
     Ok(Form {
         shader: include_str!("../../shaders/alpha_compositing.wgsl"),

@@ -65,7 +65,7 @@ fn gpu(params: &Params, _view: &View) -> Result<Form> {
     only(params, "summation", "plain")?;
     let (sorted, backwards) = submission(params)?;
     let layers = Some(layers(params)?);
-    let [thickness, rest] = Number::floats(params.float("thickness").min(f32::MAX.into()));
+    let [thickness, rest] = Number::in_two(params.float("thickness").min(f32::MAX.into()));
     Ok(Form {
         own_weight: None,
         shader: include_str!("../../shaders/avsm.wgsl"),

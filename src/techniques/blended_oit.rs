@@ -62,15 +62,10 @@ fn gpu(params: &Params, _view: &View) -> Result<Form> {
         BlendTarget::product("revealage_format", revealage, 1, Blend::Attenuate),
     ];
     Ok(Form {
+        own_weight: None,
         shader: include_str!("../../shaders/blended_oit.wgsl"),
         numbers: vec![Number::float(format.max_finite(0))],
-        own_weight: None,
-        path: Path::Blended(Blending {
-            draw: "accumulate",
-            resolve: "resolve",
-            targets,
-            over_background: false,
-        }),
+        path: Path::Blended(Blending::once("accumulate", "resolve", targets)),
         shows_zero_fragments: false,
         colored_transmittance: false,
     })

@@ -7,9 +7,12 @@ use crate::continuum::binned::BinnedAbsorbance;
 use crate::continuum::oracle::{CHUNK, Composite, Oracle, chunks, see_one};
 use crate::continuum::range::{DepthRange, cell};
 use crate::continuum::stored_oracle::{BINS, StoredOracle, technique};
+use crate::continuum::two_pass_form::{Own, two_pass_form};
 use crate::error::Result;
 use crate::format::{Formats, SUMMATION, Target};
 use crate::fragments::{Fragment, List};
+use crate::gpu::form::blocks::{self, FUNCTIONS, INTERVAL, OUTPUTS, TWO_PASS};
+use crate::gpu::form::{Form, Number};
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties};
 use crate::techniques::ANY_ORDER;
@@ -49,11 +52,36 @@ pub static INFO: Info = Info {
     geometry_passes: "3",
     bytes_per_pixel: "first depth, bins, 4 sums and R: 4 + 4 bins + 20 in f32, 4 + 2 bins + 10 in f16",
     build,
-    gpu: None,
+    gpu: Some(gpu),
 };
 
 fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
     Ok(technique(DeepOpacityMaps::from_params(params, view), INFO.targets, params))
+}
+
+/// Its form on a GPU.
+fn gpu(params: &Params, view: &View) -> Result<Form> {
+    let spacing = Spacing::from_params(params);
+    let layers = match spacing {
+        Spacing::Uniform => params.size("bins"),
+        Spacing::Exponential => params.size("bins").min(FINEST_IN_SINGLE),
+    };
+    let (doubling, self_correct) = (spacing == Spacing::Exponential, params.bool("self_correct"));
+    let flags = [doubling, self_correct, false].map(|flag| Number::Whole(flag.into()));
+    two_pass_form(
+        params,
+        view,
+        &Own {
+            shader: include_str!("../../shaders/deep_opacity_maps.wgsl"),
+            blocks: &[FUNCTIONS, INTERVAL, OUTPUTS, TWO_PASS, blocks::BINS],
+            targets: INFO.targets,
+            map: (BINS.name, "bins"),
+            count: layers,
+            needs_bounds: true,
+            numbers: &[&[Number::size(layers)], &flags[..]].concat(),
+            ..Own::BARE
+        },
+    )
 }
 
 /// How deep the layers are.
@@ -67,8 +95,15 @@ enum Spacing {
 
 /// More doubling layers than these differ by less than f32 depths do.
 const FINEST: usize = 1000;
+/// The same where powers of two are f32: the first of so many layers is 2^-120 of all of them deep, and there is no depth
+/// behind the first surface but one that is behind it by more.
+const FINEST_IN_SINGLE: usize = 120;
 
 impl Spacing {
+    fn from_params(params: &Params) -> Self {
+        if params.text("spacing") == "uniform" { Self::Uniform } else { Self::Exponential }
+    }
+
     /// The layer of a depth behind the first surface, in units of the extent, and how far inside the layer it
     /// is; the last layer is open, but what lies beyond the extent counts as at its end.
     fn layer(self, x: f64, count: usize) -> (usize, f64) {
@@ -118,14 +153,10 @@ struct Map {
 
 impl DeepOpacityMaps {
     fn from_params(params: &Params, view: &View) -> Self {
-        let spacing = match params.text("spacing") {
-            "uniform" => Spacing::Uniform,
-            _ => Spacing::Exponential,
-        };
         let range = DepthRange::from_params(params, view);
         Self {
             bins: params.size("bins"),
-            spacing,
+            spacing: Spacing::from_params(params),
             range,
             range_covers_scene: range.covers(view),
             self_correct: params.bool("self_correct"),

@@ -8,10 +8,13 @@ use crate::continuum::range::{DepthRange, Interval};
 use crate::continuum::ringing::{RINGS, exp_minus, ringing};
 use crate::continuum::series::{LANES, Lanes, Rotor, blocks, half_turns, harmonics, project, sum};
 use crate::continuum::stored_oracle::{COEFFICIENTS, StoredOracle, technique};
+use crate::continuum::two_pass_form::{Own, two_pass_form};
 use crate::diagnosis::{Diagnosis, Faults};
 use crate::error::Result;
 use crate::format::{Formats, SUMMATION, Target};
 use crate::fragments::{Fragment, List};
+use crate::gpu::form::blocks::{self, FUNCTIONS, INTERVAL, OUTPUTS, TWO_PASS};
+use crate::gpu::form::{Form, Number};
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties};
 use crate::techniques::ANY_ORDER;
@@ -59,11 +62,33 @@ pub static INFO: Info = Info {
     geometry_passes: "2",
     bytes_per_pixel: "coefficients, 4 sums and R: 4 (2 frequencies + 1) + 20 in f32, 2 (2 frequencies + 1) + 10 in f16",
     build,
-    gpu: None,
+    gpu: Some(gpu),
 };
 
 fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
     Ok(technique(FourierOpacityMaps::from_params(params, view), INFO.targets, params))
+}
+
+/// Its form on a GPU.
+fn gpu(params: &Params, view: &View) -> Result<Form> {
+    let (frequencies, margin) = (params.size("frequencies"), params.float("margin"));
+    let flags = [params.bool("self_correct"), params.bool("lanczos"), false];
+    let margins = [margin, 1.0 - 2.0 * margin].map(Number::in_two);
+    let numbers =
+        [margins.as_flattened(), &[Number::size(frequencies)], &flags.map(|flag| Number::Whole(flag.into()))];
+    two_pass_form(
+        params,
+        view,
+        &Own {
+            shader: include_str!("../../shaders/fourier_opacity_maps.wgsl"),
+            blocks: &[FUNCTIONS, INTERVAL, OUTPUTS, TWO_PASS, blocks::COEFFICIENTS],
+            targets: INFO.targets,
+            map: (COEFFICIENTS.name, "frequencies"),
+            count: frequencies.saturating_mul(2).saturating_add(1),
+            numbers: &numbers.concat(),
+            ..Own::BARE
+        },
+    )
 }
 
 /// A Fourier series of absorption over a depth range.

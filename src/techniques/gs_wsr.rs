@@ -104,7 +104,7 @@ fn gpu(params: &Params, _view: &View) -> Result<Form> {
         let format = target_format(params, &formats, "accumulation", "accumulation_format", SUMS)?;
         let targets = vec![BlendTarget::sums("accumulation_format", format, 4)];
         let (draw, resolve) = ("accumulate", "resolve");
-        (format, Path::Blended(Blending { draw, resolve, targets, over_background: false }))
+        (format, Path::Blended(Blending::once(draw, resolve, targets)))
     } else {
         only_single_formats(params, INFO.targets)?;
         let (resolve, sorted) = ("resolve_lists", Sorting::Submission);

@@ -1,8 +1,10 @@
 //! Layered weighted blended OIT (Friederichs, Eisemann & Eisemann 2021, FEE21): weighted blending within
 //! depth bins, `over` between them.
 
+mod form;
 mod stored;
 
+use self::form::gpu;
 use self::stored::{BIN_SUMMATION, StoredBins, Storing, TARGETS};
 use crate::continuum::absorbance::{S_MAX, absorbance};
 use crate::continuum::bins::{
@@ -15,7 +17,6 @@ use crate::continuum::sums::BlendSums;
 use crate::diagnosis::{Diagnosis, Faults};
 use crate::error::Result;
 use crate::fragments::{List, Lists};
-use crate::gpu::form::{Form, Listing, Number, Path, Sorting, only, only_default_formats};
 use crate::own::Signature;
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{
@@ -154,59 +155,6 @@ fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
         range,
         range_covers_scene: range.covers(view),
     }))
-}
-
-/// Its form on a GPU: lists that are binned in the resolve, where shaping is free (FEE21 §4).
-fn gpu(params: &Params, view: &View) -> Result<Form> {
-    only(params, "storage", "ll")?;
-    if params.bool("smooth") {
-        only(params, "partition", "none")?;
-    }
-    if params.size("capacity") > 0 {
-        let problem = "a capacity has no form on the backend \"gpu\", which keeps every fragment";
-        return Err(params.error(problem, "there capacity is 0"));
-    }
-    only_default_formats(params, INFO.targets)?;
-    let weight = Weighting::from_params(params)?.shading(params)?;
-    let range = DepthRange::from_params(params, view);
-    let (nearest, farthest) = match range {
-        DepthRange::Pixel => (0.0, 0.0),
-        DepthRange::Fixed(lo, hi) => (lo, hi),
-    };
-    let fading = match (params.bool("smooth"), params.value("bin_function")) {
-        (false, _) => 0,
-        (true, Value::Text("bell")) => 1,
-        (true, Value::Text("tent")) => 2,
-        _ => {
-            let problem = "bin functions of one's own have no form on the backend \"gpu\"";
-            return Err(params.error(problem, "there bin_function is \"bell\" or \"tent\""));
-        }
-    };
-    let bins = u32::try_from(params.size("bins")).unwrap_or_else(|_| unreachable!("at most 512"));
-    let anchor = if params.text("shape_anchor") == "edge" { 0.0 } else { 0.5 };
-    let more = [
-        Number::Whole(bins),
-        Number::Whole(fading),
-        Number::Whole(params.bool("normalize").into()),
-        Number::Whole(params.bool("shape").into()),
-        Number::Float(anchor),
-        Number::Whole((range == DepthRange::Pixel).into()),
-        Number::float(nearest),
-        Number::float(farthest),
-    ];
-    Ok(Form {
-        shader: include_str!("../../shaders/lwboit.wgsl"),
-        own_weight: weight.own,
-        numbers: weight.numbers.into_iter().chain(more).collect(),
-        path: Path::Listed(Listing {
-            resolve: "resolve",
-            sorted: Sorting::Depth,
-            layers: None,
-            sizes: vec![],
-        }),
-        shows_zero_fragments: false,
-        colored_transmittance: false,
-    })
 }
 
 /// What of a fragment goes to which bins.

@@ -2,13 +2,16 @@
 
 use crate::continuum::absorbance::S_MAX;
 use crate::continuum::moments::oracle::{
-    ABSORBANCE, BIAS, MOMENTS, OVERESTIMATION, regularization, technique, width,
+    ABSORBANCE, BIAS, MOMENTS, OVERESTIMATION, regularization, regularization_numbers, technique, width,
 };
 use crate::continuum::moments::power::Powers;
 use crate::continuum::oracle::Composite;
 use crate::continuum::range::DepthRange;
+use crate::continuum::two_pass_form::{Own, two_pass_form};
 use crate::error::Result;
 use crate::format::{Format, SUMMATION, Target};
+use crate::gpu::form::blocks::{self, FUNCTIONS, INTERVAL, OUTPUTS, TWO_PASS};
+use crate::gpu::form::{Form, Number};
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{AnyTechnique, Axes, Info};
 use crate::techniques::ANY_ORDER;
@@ -51,7 +54,7 @@ pub static INFO: Info = Info {
     geometry_passes: "2",
     bytes_per_pixel: "absorbance, moments, 4 sums and R: 4 (moments + 1) + 20 in f32, 2 (moments + 1) + 10 in f16",
     build,
-    gpu: None,
+    gpu: Some(gpu),
 };
 
 static TARGETS: [Target; 4] = [
@@ -74,6 +77,28 @@ fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
     }
     let powers = Powers::new(count, regularization(params)).of_width(width(params));
     Ok(technique(powers, &TARGETS, params, view))
+}
+
+/// Its form on a GPU: sums of moments, as single precision has them.
+fn gpu(params: &Params, view: &View) -> Result<Form> {
+    let count = params.size("moments");
+    let spread = Powers::new(count, regularization(params)).of_width(width(params)).spread();
+    let points = [Number::size(count / 2)];
+    let numbers = [&points[..], &regularization_numbers(params), &spread.map(Number::float)].concat();
+    two_pass_form(
+        params,
+        view,
+        &Own {
+            shader: include_str!("../../shaders/mboit_power.wgsl"),
+            blocks: &[FUNCTIONS, INTERVAL, OUTPUTS, TWO_PASS, blocks::MOMENTS],
+            targets: &TARGETS,
+            map: (MOMENTS.name, "moments"),
+            count,
+            total: Some(ABSORBANCE.name),
+            numbers: &numbers,
+            ..Own::BARE
+        },
+    )
 }
 
 #[cfg(test)]

@@ -2,13 +2,16 @@
 
 use crate::continuum::absorbance::S_MAX;
 use crate::continuum::moments::oracle::{
-    ABSORBANCE, BIAS, MOMENTS, OVERESTIMATION, regularization, technique, width,
+    ABSORBANCE, BIAS, MOMENTS, OVERESTIMATION, regularization, regularization_numbers, technique, width,
 };
 use crate::continuum::moments::trigonometric::Harmonics;
 use crate::continuum::oracle::Composite;
 use crate::continuum::range::DepthRange;
+use crate::continuum::two_pass_form::{Own, two_pass_form};
 use crate::error::Result;
 use crate::format::{SUMMATION, Target};
+use crate::gpu::form::blocks::{self, FUNCTIONS, INTERVAL, OUTPUTS, TWO_PASS};
+use crate::gpu::form::{Form, Number};
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{AnyTechnique, Axes, Info};
 use crate::techniques::ANY_ORDER;
@@ -59,13 +62,36 @@ pub static INFO: Info = Info {
     geometry_passes: "2",
     bytes_per_pixel: "absorbance, moments, 4 sums and R: 4 (2 moments + 1) + 20 in f32, 2 (2 moments + 1) + 10 in f16",
     build,
-    gpu: None,
+    gpu: Some(gpu),
 };
 
 fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
     let zone = params.float("wrapping_zone");
     let harmonics = Harmonics::new(params.size("moments"), zone, regularization(params));
     Ok(technique(harmonics, &TARGETS, params, view))
+}
+
+/// Its form on a GPU: sums of moments, as single precision has them.
+fn gpu(params: &Params, view: &View) -> Result<Form> {
+    let count = params.size("moments");
+    let zone = params.float("wrapping_zone") / (2.0 * PI);
+    let [half_range, more] = Number::in_two(0.5 - 0.5 * zone);
+    let circle = [half_range, more, Number::float(zone), Number::Whole(0)];
+    let numbers = [&[Number::size(count)][..], &regularization_numbers(params), &circle].concat();
+    two_pass_form(
+        params,
+        view,
+        &Own {
+            shader: include_str!("../../shaders/mboit_trig.wgsl"),
+            blocks: &[FUNCTIONS, INTERVAL, OUTPUTS, TWO_PASS, blocks::MOMENTS],
+            targets: &TARGETS,
+            map: (MOMENTS.name, "moments"),
+            count: 2 * count,
+            total: Some(ABSORBANCE.name),
+            numbers: &numbers,
+            ..Own::BARE
+        },
+    )
 }
 
 static TARGETS: [Target; 4] = [ABSORBANCE, MOMENTS, Target::ACCUMULATION, Target::REVEALAGE];

@@ -5,9 +5,12 @@ use crate::continuum::binned::BinnedAbsorbance;
 use crate::continuum::oracle::{CHUNK, Composite, Oracle, chunks, see_one};
 use crate::continuum::range::{DepthRange, Interval, cell};
 use crate::continuum::stored_oracle::{StoredOracle, coefficients, technique};
+use crate::continuum::two_pass_form::{Own, two_pass_form};
 use crate::error::Result;
 use crate::format::{Formats, SUMMATION, Target};
 use crate::fragments::{Fragment, List};
+use crate::gpu::form::blocks::{self, FUNCTIONS, INTERVAL, OUTPUTS, TWO_PASS};
+use crate::gpu::form::{Form, Number};
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties};
 use crate::techniques::ANY_ORDER;
@@ -48,7 +51,7 @@ pub static INFO: Info = Info {
     bytes_per_pixel: "bits, slabs, 4 sums and R: bits / 8 + 4 slabs + 20 in f32, bits / 8 + 2 slabs + 10 in f16, 8 more for \
                       range=\"pixel\"",
     build,
-    gpu: None,
+    gpu: Some(gpu),
 };
 
 /// Absorbance of the slabs.
@@ -71,6 +74,35 @@ fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
         s_max: params.float("s_max"),
     };
     Ok(technique(oracle, INFO.targets, params))
+}
+
+/// Bits that are counted one after the other in a shader, at most.
+const MOST_BITS: usize = 1 << 16;
+
+/// Its form on a GPU: the bits are set in a buffer, since no blend unit sets bits.
+fn gpu(params: &Params, view: &View) -> Result<Form> {
+    let (bits, slabs) = (params.size("bits"), params.size("slabs"));
+    let words = match u32::try_from(bits.div_ceil(32)) {
+        Ok(words) if bits <= MOST_BITS => words,
+        _ => {
+            let problem = format!("bits={bits} has no form on the backend \"gpu\"");
+            return Err(params.error(problem, format!("there bits is at most {MOST_BITS}")));
+        }
+    };
+    two_pass_form(
+        params,
+        view,
+        &Own {
+            shader: include_str!("../../shaders/occupancy_maps.wgsl"),
+            blocks: &[FUNCTIONS, INTERVAL, OUTPUTS, TWO_PASS, blocks::BINS],
+            targets: INFO.targets,
+            map: (SLABS.name, "slabs"),
+            count: slabs,
+            words,
+            numbers: &[bits, slabs].map(Number::size),
+            ..Own::BARE
+        },
+    )
 }
 
 /// Bits and slabs of a depth range.

@@ -7,9 +7,12 @@ use crate::continuum::binned::BinnedAbsorbance;
 use crate::continuum::oracle::{CHUNK, Composite, Oracle, chunks, see_one};
 use crate::continuum::range::{DepthRange, Interval, cell};
 use crate::continuum::stored_oracle::{BINS, StoredOracle, technique};
+use crate::continuum::two_pass_form::{Own, two_pass_form};
 use crate::error::Result;
 use crate::format::{Formats, SUMMATION, Target};
 use crate::fragments::{Fragment, List};
+use crate::gpu::form::blocks::{self, FUNCTIONS, INTERVAL, OUTPUTS, TWO_PASS};
+use crate::gpu::form::{Form, Number};
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties};
 use crate::techniques::ANY_ORDER;
@@ -50,11 +53,34 @@ pub static INFO: Info = Info {
     geometry_passes: "2",
     bytes_per_pixel: "bins, 4 sums and R: 4 bins + 20 in f32, 2 bins + 10 in f16",
     build,
-    gpu: None,
+    gpu: Some(gpu),
 };
 
 fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
     Ok(technique(OpacityShadowMaps::from_params(params, view), INFO.targets, params))
+}
+
+/// Its form on a GPU.
+fn gpu(params: &Params, view: &View) -> Result<Form> {
+    let interpolation = match Interpolation::from_params(params) {
+        Interpolation::Floor => 0,
+        Interpolation::Linear => 1,
+        Interpolation::SelfCorrected => 2,
+    };
+    let bins = params.size("bins");
+    two_pass_form(
+        params,
+        view,
+        &Own {
+            shader: include_str!("../../shaders/opacity_shadow_maps.wgsl"),
+            blocks: &[FUNCTIONS, INTERVAL, OUTPUTS, TWO_PASS, blocks::BINS],
+            targets: INFO.targets,
+            map: (BINS.name, "bins"),
+            count: bins,
+            numbers: &[Number::size(bins), Number::Whole(interpolation)],
+            ..Own::BARE
+        },
+    )
 }
 
 /// What of its own bin hides a fragment.
@@ -66,6 +92,16 @@ pub enum Interpolation {
     Linear,
     /// The same without its own share (sheet 0.3).
     SelfCorrected,
+}
+
+impl Interpolation {
+    fn from_params(params: &Params) -> Self {
+        match (params.text("interp"), params.bool("self_correct")) {
+            ("floor", _) => Self::Floor,
+            (_, false) => Self::Linear,
+            (_, true) => Self::SelfCorrected,
+        }
+    }
 }
 
 /// Absorbance in bins of a depth range.
@@ -84,15 +120,10 @@ pub struct OpacityShadowMaps {
 
 impl OpacityShadowMaps {
     fn from_params(params: &Params, view: &View) -> Self {
-        let interpolation = match (params.text("interp"), params.bool("self_correct")) {
-            ("floor", _) => Interpolation::Floor,
-            (_, false) => Interpolation::Linear,
-            (_, true) => Interpolation::SelfCorrected,
-        };
         let range = DepthRange::from_params(params, view);
         Self {
             bins: params.size("bins"),
-            interpolation,
+            interpolation: Interpolation::from_params(params),
             range,
             range_covers_scene: range.covers(view),
             s_max: params.float("s_max"),

@@ -106,19 +106,14 @@ fn gpu(params: &Params, _view: &View) -> Result<Form> {
     let weight = weighting(params)?.shading(params)?;
     let more = [format.max_finite(0), params.float("divisor_floor")];
     Ok(Form {
+        own_weight: None,
         shader: include_str!("../../shaders/phenomenological.wgsl"),
         numbers: weight
             .numbers
             .into_iter()
             .chain(transmission.into_iter().chain(more).map(Number::float))
             .collect(),
-        own_weight: None,
-        path: Path::Blended(Blending {
-            draw: "accumulate",
-            resolve: "resolve",
-            targets,
-            over_background: false,
-        }),
+        path: Path::Blended(Blending::once("accumulate", "resolve", targets)),
         shows_zero_fragments: false,
         colored_transmittance: true,
     })

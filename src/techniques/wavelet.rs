@@ -7,10 +7,13 @@ use crate::continuum::oracle::{CHUNK, Composite, Oracle, chunks, see_one};
 use crate::continuum::range::{DepthRange, Interval, cell};
 use crate::continuum::ringing::{RINGS, exp_minus, ringing};
 use crate::continuum::stored_oracle::{COEFFICIENTS, StoredOracle, technique};
+use crate::continuum::two_pass_form::{Own, two_pass_form};
 use crate::diagnosis::{Diagnosis, Faults};
 use crate::error::Result;
 use crate::format::{Formats, SUMMATION, Target};
 use crate::fragments::{Fragment, List};
+use crate::gpu::form::blocks::{self, FUNCTIONS, INTERVAL, OUTPUTS, TWO_PASS};
+use crate::gpu::form::{Form, Number};
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties};
 use crate::techniques::ANY_ORDER;
@@ -54,11 +57,29 @@ pub static INFO: Info = Info {
     bytes_per_pixel: "coefficients, 4 sums and R: 4 * 2^(rank + 1) + 20 in f32, 2 * 2^(rank + 1) + 10 in f16, 8 more for \
                       range=\"pixel\"",
     build,
-    gpu: None,
+    gpu: Some(gpu),
 };
 
 fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
     Ok(technique(Wavelet::from_params(params, view), INFO.targets, params))
+}
+
+/// Its form on a GPU.
+fn gpu(params: &Params, view: &View) -> Result<Form> {
+    let levels = params.size("rank") + 1;
+    two_pass_form(
+        params,
+        view,
+        &Own {
+            shader: include_str!("../../shaders/wavelet.wgsl"),
+            blocks: &[FUNCTIONS, INTERVAL, OUTPUTS, TWO_PASS, blocks::COEFFICIENTS],
+            targets: INFO.targets,
+            map: (COEFFICIENTS.name, "rank"),
+            count: 1 << levels,
+            numbers: &[Number::size(levels), Number::Whole(params.bool("self_correct").into())],
+            ..Own::BARE
+        },
+    )
 }
 
 /// Haar coefficients of a depth range.

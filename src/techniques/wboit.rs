@@ -116,7 +116,7 @@ fn gpu(params: &Params, _view: &View) -> Result<Form> {
         shader: include_str!("../../shaders/wboit.wgsl"),
         numbers: weight.numbers.into_iter().chain(more).collect(),
         own_weight: weight.own,
-        path: Path::Blended(Blending { draw, resolve, targets, over_background: false }),
+        path: Path::Blended(Blending::once(draw, resolve, targets)),
         shows_zero_fragments: false,
         colored_transmittance: false,
     })

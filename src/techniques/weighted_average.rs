@@ -63,15 +63,10 @@ fn gpu(params: &Params, _view: &View) -> Result<Form> {
         BlendTarget::sums("count_format", count, 1),
     ];
     Ok(Form {
+        own_weight: None,
         shader: include_str!("../../shaders/weighted_average.wgsl"),
         numbers: vec![Number::float(format.max_finite(0))],
-        own_weight: None,
-        path: Path::Blended(Blending {
-            draw: "accumulate",
-            resolve: "resolve",
-            targets,
-            over_background: false,
-        }),
+        path: Path::Blended(Blending::once("accumulate", "resolve", targets)),
         shows_zero_fragments: true,
         colored_transmittance: false,
     })

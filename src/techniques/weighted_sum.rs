@@ -57,15 +57,10 @@ fn gpu(params: &Params, _view: &View) -> Result<Form> {
     let format = target_format(params, &formats, "accumulation", "accumulation_format", SHARES)?;
     let targets = vec![BlendTarget::sums("accumulation_format", format, 4)];
     Ok(Form {
+        own_weight: None,
         shader: include_str!("../../shaders/weighted_sum.wgsl"),
         numbers: vec![Number::float(format.max_finite(0))],
-        own_weight: None,
-        path: Path::Blended(Blending {
-            draw: "accumulate",
-            resolve: "resolve",
-            targets,
-            over_background: false,
-        }),
+        path: Path::Blended(Blending::once("accumulate", "resolve", targets)),
         shows_zero_fragments: false,
         colored_transmittance: false,
     })

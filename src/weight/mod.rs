@@ -11,6 +11,8 @@ mod own;
 
 pub use own::Own;
 
+pub use gpu::Shading;
+
 use crate::continuum::functions::{exp, ln};
 use crate::error::Result;
 use crate::own::Signature;

@@ -11,6 +11,7 @@ use crate::continuum::stored_oracle::{self, StoredOracle};
 use crate::diagnosis::{Diagnosis, Fault, Faults};
 use crate::format::{Format, FormatSet, Formats, Target};
 use crate::fragments::{Fragment, List};
+use crate::gpu::form::Number;
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{AnyTechnique, Cost, DepthComplexity, Pixel, Properties};
 use multiversion::multiversion;
@@ -77,6 +78,12 @@ pub fn regularization(params: &Params) -> Regularization {
     // mean values are not divided by it
     let absorbance = if formats(params)[1].is_normalized() { 0.0 } else { absorbance };
     Regularization { bias: params.float("bias"), precision: moments.max(absorbance) }
+}
+
+/// What shaders know of both params, and half of the precision.
+pub fn regularization_numbers(params: &Params) -> [Number; 3] {
+    let Regularization { bias, precision } = regularization(params);
+    [params.float("overestimation"), bias, 0.5 * precision].map(Number::float)
 }
 
 /// The technique of these params over a basis.

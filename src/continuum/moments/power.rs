@@ -58,6 +58,11 @@ impl Powers {
         Self { spread: spread[self.points - 2], ..self }
     }
 
+    /// The moments that are mixed in.
+    pub fn spread(&self) -> [f64; MAX_STORED] {
+        self.spread
+    }
+
     /// The bias that moments of that width ask for (M18).
     pub fn default_bias(count: usize, width: Width) -> f64 {
         match (count, width) {

@@ -1,0 +1,321 @@
+//! Render targets that the blend unit works on: passes over the geometry, each of which may read what those before it
+//! left, then one over the image.
+
+use super::device::Connection;
+use super::draw::{Gpu, Image, Stop, attachment, draw_primitives, resolve};
+use super::form::{BlendTarget, Blending, Draw, Form, background_module};
+use super::layouts::{Draws, Entry, Layouts, Reading, Reads, attachment_bytes, blended, plain};
+use super::picture::{Picture, buffer};
+use super::recorder::{Recorder, Stage};
+use crate::error::{Error, Result};
+use std::ops::Range;
+use wgpu::{
+    BindGroup, BindGroupDescriptor, BindGroupEntry, BindingResource, Buffer, BufferUsages, Color,
+    ColorWrites, Extent3d, LoadOp, StoreOp, TextureDescriptor, TextureDimension, TextureFormat,
+    TextureUsages, TextureView, TextureViewDescriptor, TextureViewDimension,
+};
+
+/// Attachments that a shader which draws in parts gives at a time, at most: those of `blocks/outputs.wgsl`.
+const OUTPUTS: u32 = 8;
+
+/// How many times as much as a buffer may hold all targets take together; an image of more is made in parts.
+const BUFFERS: u64 = 4;
+
+/// The targets of a form, for as many rows of the image as are worked on at a time.
+struct Targets {
+    formats: Vec<Option<TextureFormat>>,
+    /// All layers of each.
+    views: Vec<TextureView>,
+    /// Each layer of each.
+    layers: Vec<Vec<TextureView>>,
+    readings: Vec<Option<Reading>>,
+    words: Option<Buffer>,
+}
+
+/// Rows of the image on their way through a form.
+struct Job<'a> {
+    connection: &'a Connection,
+    picture: &'a Picture,
+    form: &'a Form,
+    blending: &'a Blending,
+    module: &'a str,
+    targets: &'a Targets,
+    frame: &'a BindGroup,
+    rows: &'a Range<u32>,
+}
+
+impl Gpu {
+    /// Hardware blending, then the resolve, in as many parts of the image as the targets ask for.
+    pub(super) fn blended(
+        &mut self,
+        picture: &Picture,
+        form: &Form,
+        blending: &Blending,
+        stop: Stop<'_>,
+    ) -> Result<Image> {
+        let formats = self.connection.target_formats(blending)?;
+        let most = self.rows_of_targets(picture, form, blending, &formats)?;
+        let targets = Targets::new(&self.connection, blending, formats, (picture.width, most));
+        let params: Vec<_> = form.numbers.iter().map(|number| number.bits()).collect();
+        let module = form.module();
+        let mut image = Image::default();
+        for first in (0..picture.height).step_by(most as usize) {
+            let rows = first..(first + most).min(picture.height);
+            let frame = self.frame(picture, &rows, &params);
+            let Self { connection, layouts, .. } = self;
+            let (targets, frame, module, rows) = (&targets, &frame, module.as_str(), &rows);
+            let job = Job { connection, picture, form, blending, module, targets, frame, rows };
+            job.run(layouts, stop, &mut image)?;
+        }
+        Ok(image)
+    }
+
+    /// How many rows of the image fit into the targets, the words and the buffer of the result.
+    fn rows_of_targets(
+        &self,
+        picture: &Picture,
+        form: &Form,
+        blending: &Blending,
+        formats: &[Option<TextureFormat>],
+    ) -> Result<u32> {
+        let (width, most) = (u64::from(picture.width), self.most_bytes());
+        let words = 4 * u64::from(blending.words) * width;
+        if words > most {
+            return Err(Error::Memory(format!(
+                "the {} words of each of a row's {width} pixels; {} keeps {} at a time: a smaller image has fewer in a row",
+                blending.words,
+                self.connection.info.name,
+                most / 4
+            )));
+        }
+        let texels = blending.targets.iter().zip(formats);
+        let bytes = texels.map(|(target, format)| {
+            let texel = format.and_then(|format| format.block_copy_size(None)).unwrap_or(0);
+            u64::from(texel) * target.layers.map_or(1, |(_, layers)| layers.into())
+        });
+        let rows = |all: u64, row: u64| u32::try_from(all / row.max(1)).unwrap_or(u32::MAX);
+        let fit = rows(BUFFERS * most, bytes.sum::<u64>() * width).min(rows(most, words));
+        Ok(self.rows_per_band(picture, form).min(fit).clamp(1, picture.height.max(1)))
+    }
+}
+
+impl Targets {
+    fn new(
+        connection: &Connection,
+        blending: &Blending,
+        formats: Vec<Option<TextureFormat>>,
+        size: (u32, u32),
+    ) -> Self {
+        let mut made = Self {
+            formats,
+            views: Vec::new(),
+            layers: Vec::new(),
+            readings: Vec::new(),
+            words: (blending.words > 0).then(|| {
+                let bytes = 4 * u64::from(blending.words) * u64::from(size.0) * u64::from(size.1);
+                buffer(connection, "words", bytes, BufferUsages::STORAGE)
+            }),
+        };
+        for (target, format) in blending.targets.iter().zip(made.formats.clone()) {
+            made.add(connection, target, format, size);
+        }
+        made.readings.push(made.words.is_some().then_some(Reading::Words));
+        made
+    }
+
+    fn add(
+        &mut self,
+        connection: &Connection,
+        target: &BlendTarget,
+        format: Option<TextureFormat>,
+        size: (u32, u32),
+    ) {
+        let (width, height) = if format.is_some() { size } else { (1, 1) };
+        let count = target.layers.map_or(1, |(_, layers)| layers);
+        let depth_or_array_layers = if format.is_some() { count } else { 1 };
+        let texture = connection.device.create_texture(&TextureDescriptor {
+            label: Some("target"),
+            size: Extent3d { width, height, depth_or_array_layers },
+            mip_level_count: 1,
+            sample_count: 1,
+            dimension: TextureDimension::D2,
+            format: format.unwrap_or(TextureFormat::R8Unorm),
+            usage: TextureUsages::RENDER_ATTACHMENT | TextureUsages::TEXTURE_BINDING,
+            view_formats: &[],
+        });
+        let (dimension, reading) = match target.layers {
+            Some(_) => (TextureViewDimension::D2Array, Reading::Array),
+            None => (TextureViewDimension::D2, Reading::Texture),
+        };
+        let view = |dimension, base_array_layer, layers| {
+            texture.create_view(&TextureViewDescriptor {
+                dimension: Some(dimension),
+                base_array_layer,
+                array_layer_count: Some(layers),
+                ..Default::default()
+            })
+        };
+        self.views.push(view(dimension, 0, depth_or_array_layers));
+        let each = 0..depth_or_array_layers;
+        self.layers.push(each.map(|layer| view(TextureViewDimension::D2, layer, 1)).collect());
+        self.readings.push(Some(reading));
+    }
+
+    /// What a shader finds that may read the targets before this one.
+    fn before(&self, end: usize) -> Vec<Option<Reading>> {
+        let is_there = |i: usize| i < end || i == self.views.len();
+        self.readings.iter().enumerate().map(|(i, reading)| reading.filter(|_| is_there(i))).collect()
+    }
+
+    /// ... as a bind group; none where that is nothing.
+    fn group(
+        &self,
+        connection: &Connection,
+        layouts: &mut Layouts,
+        readings: &[Option<Reading>],
+    ) -> Option<BindGroup> {
+        let layout = layouts.second(&connection.device, reads(readings))?;
+        let resource = |i: usize| match (self.views.get(i), &self.words) {
+            (Some(view), _) => BindingResource::TextureView(view),
+            (None, Some(words)) => words.as_entire_binding(),
+            (None, None) => unreachable!("there are no more readings"),
+        };
+        let there = readings.iter().enumerate().filter(|(_, reading)| reading.is_some());
+        let binding = |i: usize| u32::try_from(i).unwrap_or_else(|_| unreachable!("few targets"));
+        let entries: Vec<_> =
+            there.map(|(i, _)| BindGroupEntry { binding: binding(i), resource: resource(i) }).collect();
+        let descriptor = BindGroupDescriptor { label: Some("targets"), layout: &layout, entries: &entries };
+        Some(connection.device.create_bind_group(&descriptor))
+    }
+}
+
+fn reads(readings: &[Option<Reading>]) -> Reads<'_> {
+    if readings.iter().all(Option::is_none) { Reads::Nothing } else { Reads::Targets(readings) }
+}
+
+impl Job<'_> {
+    fn run(&self, layouts: &mut Layouts, stop: Stop<'_>, image: &mut Image) -> Result<()> {
+        let parts: Vec<_> = self.blending.draws.iter().map(|draw| self.parts(draw)).collect();
+        // the background comes first and the image last
+        let passes = 2 + parts.iter().map(Vec::len).sum::<usize>();
+        let passes = u32::try_from(passes).unwrap_or(u32::MAX);
+        let mut recorder = Recorder::expecting(passes, self.connection, stop);
+        if let Some(words) = &self.targets.words {
+            recorder.clear(words);
+        }
+        if self.blending.over_background {
+            self.show_background(layouts, &mut recorder)?;
+        }
+        for (draw, parts) in self.blending.draws.iter().zip(&parts) {
+            for part in parts {
+                self.draw(layouts, &mut recorder, draw, part)?;
+            }
+        }
+        let readings = self.targets.before(self.targets.views.len());
+        let group = self.targets.group(self.connection, layouts, &readings);
+        let Some(targets) = group else { unreachable!("there is a target") };
+        let entry = Entry { module: self.module, point: self.blending.resolve };
+        let pipeline = layouts.compute(&self.connection.device, entry, reads(&readings), true, &[]);
+        resolve(
+            self.connection,
+            layouts,
+            recorder,
+            self.picture,
+            self.form,
+            self.rows,
+            &pipeline,
+            [self.frame, &targets],
+            image,
+        )
+    }
+
+    fn show_background(&self, layouts: &mut Layouts, recorder: &mut Recorder<'_>) -> Result<()> {
+        let Some(format) = self.targets.formats[0] else { unreachable!("it is drawn into") };
+        let entry = Entry { module: &background_module(), point: "show_background" };
+        let states = [plain(format, ColorWrites::ALL)];
+        let device = &self.connection.device;
+        let pipeline = layouts.render(device, entry, Draws::Background, Reads::Nothing, &states);
+        let view = &self.targets.layers[0][0];
+        let target = attachment(view, LoadOp::Clear(Color::TRANSPARENT), StoreOp::Store);
+        recorder.render(Stage::Raster, &[target], |pass| {
+            pass.set_pipeline(&pipeline);
+            pass.set_bind_group(0, self.frame, &[]);
+            pass.draw(0..3, 0..1);
+        })
+    }
+
+    /// The attachments of a pass, (target, layer), as many at a time as the device takes.
+    fn parts(&self, draw: &Draw) -> Vec<Vec<(usize, usize)>> {
+        let layers = |target: usize| (0..self.targets.layers[target].len()).map(move |i| (target, i));
+        let all = draw.targets.clone().flat_map(layers);
+        if !draw.in_parts {
+            return vec![all.collect()];
+        }
+        let limits = &self.connection.limits;
+        let most = limits.max_color_attachments.min(OUTPUTS) as usize;
+        let bytes = |part: &[(usize, usize)]| {
+            attachment_bytes(part.iter().filter_map(|(target, _)| self.targets.formats[*target]))
+        };
+        let (mut parts, mut part) = (Vec::new(), Vec::new());
+        for attached in all {
+            part.push(attached);
+            let is_full = part.len() > most || bytes(&part) > limits.max_color_attachment_bytes_per_sample;
+            if is_full && part.len() > 1 {
+                part.pop();
+                parts.push(std::mem::replace(&mut part, vec![attached]));
+            }
+        }
+        parts.push(part);
+        parts
+    }
+
+    /// Draws the geometry into some of a pass's attachments.
+    fn draw(
+        &self,
+        layouts: &mut Layouts,
+        recorder: &mut Recorder<'_>,
+        draw: &Draw,
+        part: &[(usize, usize)],
+    ) -> Result<()> {
+        let device = &self.connection.device;
+        let first_output = part.first().map_or(0, |&first| self.place_of(draw, first));
+        let draws = Draws::Primitives {
+            perspective: self.picture.perspective,
+            zero_fragments: self.form.shows_zero_fragments,
+            first_output,
+        };
+        let state = |&(i, _): &(usize, usize)| {
+            let Some(format) = self.targets.formats[i] else { unreachable!("it is drawn into") };
+            blended(&self.blending.targets[i], format)
+        };
+        let states: Vec<_> = part.iter().map(state).collect();
+        let readings = self.targets.before(draw.targets.start);
+        let read = self.targets.group(self.connection, layouts, &readings);
+        let entry = Entry { module: self.module, point: draw.shader };
+        let pipeline = layouts.render(device, entry, draws, reads(&readings), &states);
+        let attached = |&(i, layer): &(usize, usize)| {
+            let [r, g, b, a] = self.blending.targets[i].clear;
+            let load = match i {
+                0 if self.blending.over_background => LoadOp::Load,
+                _ => LoadOp::Clear(Color { r, g, b, a }),
+            };
+            attachment(&self.targets.layers[i][layer], load, StoreOp::Store)
+        };
+        let attachments: Vec<_> = part.iter().map(attached).collect();
+        recorder.render(Stage::Raster, &attachments, |pass| {
+            pass.set_pipeline(&pipeline);
+            pass.set_bind_group(0, self.frame, &[]);
+            if let Some(read) = &read {
+                pass.set_bind_group(2, read, &[]);
+            }
+            draw_primitives(pass, self.picture, self.rows);
+        })
+    }
+
+    /// Where among a pass's attachments one is.
+    fn place_of(&self, draw: &Draw, (target, layer): (usize, usize)) -> u32 {
+        let before = (draw.targets.start..target).map(|i| self.targets.layers[i].len());
+        u32::try_from(before.sum::<usize>() + layer)
+            .unwrap_or_else(|_| unreachable!("textures have few layers"))
+    }
+}
