@@ -282,7 +282,6 @@ impl Job<'_> {
         let draws = Draws::Primitives {
             perspective: self.picture.perspective,
             zero_fragments: self.form.shows_zero_fragments,
-            first_output,
         };
         let state = |&(i, _): &(usize, usize)| {
             let Some(format) = self.targets.formats[i] else { unreachable!("it is drawn into") };
@@ -308,13 +307,14 @@ impl Job<'_> {
             if let Some(read) = &read {
                 pass.set_bind_group(2, read, &[]);
             }
-            draw_primitives(pass, self.picture, self.rows);
+            draw_primitives(pass, self.picture, self.rows, first_output);
         })
     }
 
     /// Where among a pass's attachments one is.
     fn place_of(&self, draw: &Draw, (target, layer): (usize, usize)) -> u32 {
         let before = (draw.targets.start..target).map(|i| self.targets.layers[i].len());
-        u32::try_from(before.sum::<usize>() + layer).unwrap_or_else(|_| unreachable!("textures have few layers"))
+        u32::try_from(before.sum::<usize>() + layer)
+            .unwrap_or_else(|_| unreachable!("textures have few layers"))
     }
 }

@@ -151,7 +151,7 @@ pub struct Draw {
     /// The targets that it draws into. It may read those before them.
     pub targets: Range<usize>,
     /// Whether it draws in parts where the device takes fewer attachments at a time: the shader gives those from
-    /// `first_output` on.
+    /// `first_output_of` on.
     pub in_parts: bool,
 }
 
@@ -259,15 +259,7 @@ impl Form {
 impl BlendTarget {
     /// Sums that begin with zero.
     pub fn sums(param: &'static str, format: Format, channels: u32) -> Self {
-        Self {
-            param,
-            format,
-            channels,
-            layers: None,
-            clear: [0.0; 4],
-            color: Blend::Add,
-            alpha: Blend::Add,
-        }
+        Self { param, format, channels, layers: None, clear: [0.0; 4], color: Blend::Add, alpha: Blend::Add }
     }
 
     /// A product of 1 − source, or of sources, that begins with one.

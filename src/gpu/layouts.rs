@@ -88,8 +88,8 @@ pub enum Reads<'a> {
 /// What a render pipeline is for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Draws {
-    /// Primitives, into the attachments from the first one on.
-    Primitives { perspective: bool, zero_fragments: bool, first_output: u32 },
+    /// Primitives.
+    Primitives { perspective: bool, zero_fragments: bool },
     /// The whole image.
     Background,
 }
@@ -100,12 +100,9 @@ impl Draws {
         let flag = |on: bool| f64::from(u8::from(on));
         match self {
             Self::Background => ("cover_all", vec![]),
-            Self::Primitives { perspective, zero_fragments, first_output } => {
-                let constants = vec![
-                    ("perspective", flag(perspective)),
-                    ("shows_zero_fragments", flag(zero_fragments)),
-                    ("first_output", first_output.into()),
-                ];
+            Self::Primitives { perspective, zero_fragments } => {
+                let constants =
+                    vec![("perspective", flag(perspective)), ("shows_zero_fragments", flag(zero_fragments))];
                 ("place", constants)
             }
         }
@@ -166,7 +163,8 @@ impl Layouts {
             Reads::Targets(readings) => readings,
         };
         let layout = self.targets.entry(readings.to_vec()).or_insert_with(|| {
-            let there = readings.iter().zip(0..).filter_map(|(reading, binding)| Some((binding, (*reading)?)));
+            let there =
+                readings.iter().zip(0..).filter_map(|(reading, binding)| Some((binding, (*reading)?)));
             let entries: Vec<_> = there.map(|(binding, reading)| reading.entry(binding)).collect();
             let label = Some("targets");
             device.create_bind_group_layout(&BindGroupLayoutDescriptor { label, entries: &entries })
@@ -338,9 +336,8 @@ impl Connection {
     /// As [`Connection::target_format`], and for more layers, targets or bytes than the device takes at a time.
     pub fn target_formats(&self, blending: &Blending) -> Result<Vec<Option<TextureFormat>>> {
         let is_drawn = |i| blending.draws.iter().any(|draw| draw.targets.contains(&i));
-        let format = |(i, target): (usize, &BlendTarget)| {
-            is_drawn(i).then(|| self.target_format(target)).transpose()
-        };
+        let format =
+            |(i, target): (usize, &BlendTarget)| is_drawn(i).then(|| self.target_format(target)).transpose();
         let formats = blending.targets.iter().enumerate().map(format).collect::<Result<Vec<_>>>()?;
         blending.targets.iter().try_for_each(|target| self.check_layers(target))?;
         for draw in blending.draws.iter().filter(|draw| !draw.in_parts) {

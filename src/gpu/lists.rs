@@ -251,8 +251,7 @@ fn draw_into_lists(
         TextureUsages::RENDER_ATTACHMENT,
     );
     let unused = unused.create_view(&TextureViewDescriptor::default());
-    let draws =
-        Draws::Primitives { perspective: picture.perspective, zero_fragments: true, first_output: 0 };
+    let draws = Draws::Primitives { perspective: picture.perspective, zero_fragments: true };
     let entry = Entry { module: &list_module(), point };
     let states = [plain(format, ColorWrites::empty())];
     let pipeline = layouts.render(&connection.device, entry, draws, Reads::Lists, &states);
@@ -261,6 +260,6 @@ fn draw_into_lists(
         pass.set_pipeline(&pipeline);
         pass.set_bind_group(0, frame, &[]);
         pass.set_bind_group(2, lists, &[]);
-        draw_primitives(pass, picture, rows);
+        draw_primitives(pass, picture, rows, 0);
     })
 }

@@ -63,11 +63,7 @@ impl<'a> Recorder<'a> {
     }
 
     /// One with room for the stamps of so many passes; beyond what a set holds they are waited for.
-    pub fn expecting(
-        passes: u32,
-        connection: &'a Connection,
-        stop: &'a (dyn Fn() -> bool + Sync),
-    ) -> Self {
+    pub fn expecting(passes: u32, connection: &'a Connection, stop: &'a (dyn Fn() -> bool + Sync)) -> Self {
         let has_stamps = connection.features.contains(Features::TIMESTAMP_QUERY) && passes <= MOST_PASSES;
         let descriptor = QuerySetDescriptor { label: None, ty: QueryType::Timestamp, count: 2 * passes };
         Self {

@@ -68,16 +68,20 @@ fn gpu(params: &Params, view: &View) -> Result<Form> {
     };
     let (doubling, self_correct) = (spacing == Spacing::Exponential, params.bool("self_correct"));
     let flags = [doubling, self_correct, false].map(|flag| Number::Whole(flag.into()));
-    two_pass_form(params, view, &Own {
-        shader: include_str!("../../shaders/deep_opacity_maps.wgsl"),
-        blocks: &[FUNCTIONS, INTERVAL, OUTPUTS, TWO_PASS, blocks::BINS],
-        targets: INFO.targets,
-        map: (BINS.name, "bins"),
-        count: layers,
-        needs_bounds: true,
-        numbers: &[&[Number::size(layers)], &flags[..]].concat(),
-        ..Own::BARE
-    })
+    two_pass_form(
+        params,
+        view,
+        &Own {
+            shader: include_str!("../../shaders/deep_opacity_maps.wgsl"),
+            blocks: &[FUNCTIONS, INTERVAL, OUTPUTS, TWO_PASS, blocks::BINS],
+            targets: INFO.targets,
+            map: (BINS.name, "bins"),
+            count: layers,
+            needs_bounds: true,
+            numbers: &[&[Number::size(layers)], &flags[..]].concat(),
+            ..Own::BARE
+        },
+    )
 }
 
 /// How deep the layers are.

@@ -74,20 +74,21 @@ fn gpu(params: &Params, view: &View) -> Result<Form> {
     let (frequencies, margin) = (params.size("frequencies"), params.float("margin"));
     let flags = [params.bool("self_correct"), params.bool("lanczos"), false];
     let margins = [margin, 1.0 - 2.0 * margin].map(Number::in_two);
-    let numbers = [
-        margins.as_flattened(),
-        &[Number::size(frequencies)],
-        &flags.map(|flag| Number::Whole(flag.into())),
-    ];
-    two_pass_form(params, view, &Own {
-        shader: include_str!("../../shaders/fourier_opacity_maps.wgsl"),
-        blocks: &[FUNCTIONS, INTERVAL, OUTPUTS, TWO_PASS, blocks::COEFFICIENTS],
-        targets: INFO.targets,
-        map: (COEFFICIENTS.name, "frequencies"),
-        count: frequencies.saturating_mul(2).saturating_add(1),
-        numbers: &numbers.concat(),
-        ..Own::BARE
-    })
+    let numbers =
+        [margins.as_flattened(), &[Number::size(frequencies)], &flags.map(|flag| Number::Whole(flag.into()))];
+    two_pass_form(
+        params,
+        view,
+        &Own {
+            shader: include_str!("../../shaders/fourier_opacity_maps.wgsl"),
+            blocks: &[FUNCTIONS, INTERVAL, OUTPUTS, TWO_PASS, blocks::COEFFICIENTS],
+            targets: INFO.targets,
+            map: (COEFFICIENTS.name, "frequencies"),
+            count: frequencies.saturating_mul(2).saturating_add(1),
+            numbers: &numbers.concat(),
+            ..Own::BARE
+        },
+    )
 }
 
 /// A Fourier series of absorption over a depth range.

@@ -2,8 +2,7 @@
 
 use crate::continuum::absorbance::S_MAX;
 use crate::continuum::moments::oracle::{
-    ABSORBANCE, BIAS, MOMENTS, OVERESTIMATION, regularization, regularization_numbers, technique,
-    width,
+    ABSORBANCE, BIAS, MOMENTS, OVERESTIMATION, regularization, regularization_numbers, technique, width,
 };
 use crate::continuum::moments::power::Powers;
 use crate::continuum::oracle::Composite;
@@ -86,16 +85,20 @@ fn gpu(params: &Params, view: &View) -> Result<Form> {
     let spread = Powers::new(count, regularization(params)).of_width(width(params)).spread();
     let points = [Number::size(count / 2)];
     let numbers = [&points[..], &regularization_numbers(params), &spread.map(Number::float)].concat();
-    two_pass_form(params, view, &Own {
-        shader: include_str!("../../shaders/mboit_power.wgsl"),
-        blocks: &[FUNCTIONS, INTERVAL, OUTPUTS, TWO_PASS, blocks::MOMENTS],
-        targets: &TARGETS,
-        map: (MOMENTS.name, "moments"),
-        count,
-        total: Some(ABSORBANCE.name),
-        numbers: &numbers,
-        ..Own::BARE
-    })
+    two_pass_form(
+        params,
+        view,
+        &Own {
+            shader: include_str!("../../shaders/mboit_power.wgsl"),
+            blocks: &[FUNCTIONS, INTERVAL, OUTPUTS, TWO_PASS, blocks::MOMENTS],
+            targets: &TARGETS,
+            map: (MOMENTS.name, "moments"),
+            count,
+            total: Some(ABSORBANCE.name),
+            numbers: &numbers,
+            ..Own::BARE
+        },
+    )
 }
 
 #[cfg(test)]

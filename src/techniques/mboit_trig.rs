@@ -2,8 +2,7 @@
 
 use crate::continuum::absorbance::S_MAX;
 use crate::continuum::moments::oracle::{
-    ABSORBANCE, BIAS, MOMENTS, OVERESTIMATION, regularization, regularization_numbers, technique,
-    width,
+    ABSORBANCE, BIAS, MOMENTS, OVERESTIMATION, regularization, regularization_numbers, technique, width,
 };
 use crate::continuum::moments::trigonometric::Harmonics;
 use crate::continuum::oracle::Composite;
@@ -79,16 +78,20 @@ fn gpu(params: &Params, view: &View) -> Result<Form> {
     let [half_range, more] = Number::in_two(0.5 - 0.5 * zone);
     let circle = [half_range, more, Number::float(zone), Number::Whole(0)];
     let numbers = [&[Number::size(count)][..], &regularization_numbers(params), &circle].concat();
-    two_pass_form(params, view, &Own {
-        shader: include_str!("../../shaders/mboit_trig.wgsl"),
-        blocks: &[FUNCTIONS, INTERVAL, OUTPUTS, TWO_PASS, blocks::MOMENTS],
-        targets: &TARGETS,
-        map: (MOMENTS.name, "moments"),
-        count: 2 * count,
-        total: Some(ABSORBANCE.name),
-        numbers: &numbers,
-        ..Own::BARE
-    })
+    two_pass_form(
+        params,
+        view,
+        &Own {
+            shader: include_str!("../../shaders/mboit_trig.wgsl"),
+            blocks: &[FUNCTIONS, INTERVAL, OUTPUTS, TWO_PASS, blocks::MOMENTS],
+            targets: &TARGETS,
+            map: (MOMENTS.name, "moments"),
+            count: 2 * count,
+            total: Some(ABSORBANCE.name),
+            numbers: &numbers,
+            ..Own::BARE
+        },
+    )
 }
 
 static TARGETS: [Target; 4] = [ABSORBANCE, MOMENTS, Target::ACCUMULATION, Target::REVEALAGE];

@@ -89,16 +89,20 @@ fn gpu(params: &Params, view: &View) -> Result<Form> {
             return Err(params.error(problem, format!("there bits is at most {MOST_BITS}")));
         }
     };
-    two_pass_form(params, view, &Own {
-        shader: include_str!("../../shaders/occupancy_maps.wgsl"),
-        blocks: &[FUNCTIONS, INTERVAL, OUTPUTS, TWO_PASS, blocks::BINS],
-        targets: INFO.targets,
-        map: (SLABS.name, "slabs"),
-        count: slabs,
-        words,
-        numbers: &[bits, slabs].map(Number::size),
-        ..Own::BARE
-    })
+    two_pass_form(
+        params,
+        view,
+        &Own {
+            shader: include_str!("../../shaders/occupancy_maps.wgsl"),
+            blocks: &[FUNCTIONS, INTERVAL, OUTPUTS, TWO_PASS, blocks::BINS],
+            targets: INFO.targets,
+            map: (SLABS.name, "slabs"),
+            count: slabs,
+            words,
+            numbers: &[bits, slabs].map(Number::size),
+            ..Own::BARE
+        },
+    )
 }
 
 /// Bits and slabs of a depth range.

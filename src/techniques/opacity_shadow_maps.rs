@@ -68,15 +68,19 @@ fn gpu(params: &Params, view: &View) -> Result<Form> {
         Interpolation::SelfCorrected => 2,
     };
     let bins = params.size("bins");
-    two_pass_form(params, view, &Own {
-        shader: include_str!("../../shaders/opacity_shadow_maps.wgsl"),
-        blocks: &[FUNCTIONS, INTERVAL, OUTPUTS, TWO_PASS, blocks::BINS],
-        targets: INFO.targets,
-        map: (BINS.name, "bins"),
-        count: bins,
-        numbers: &[Number::size(bins), Number::Whole(interpolation)],
-        ..Own::BARE
-    })
+    two_pass_form(
+        params,
+        view,
+        &Own {
+            shader: include_str!("../../shaders/opacity_shadow_maps.wgsl"),
+            blocks: &[FUNCTIONS, INTERVAL, OUTPUTS, TWO_PASS, blocks::BINS],
+            targets: INFO.targets,
+            map: (BINS.name, "bins"),
+            count: bins,
+            numbers: &[Number::size(bins), Number::Whole(interpolation)],
+            ..Own::BARE
+        },
+    )
 }
 
 /// What of its own bin hides a fragment.

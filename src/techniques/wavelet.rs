@@ -67,15 +67,19 @@ fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
 /// Its form on a GPU.
 fn gpu(params: &Params, view: &View) -> Result<Form> {
     let levels = params.size("rank") + 1;
-    two_pass_form(params, view, &Own {
-        shader: include_str!("../../shaders/wavelet.wgsl"),
-        blocks: &[FUNCTIONS, INTERVAL, OUTPUTS, TWO_PASS, blocks::COEFFICIENTS],
-        targets: INFO.targets,
-        map: (COEFFICIENTS.name, "rank"),
-        count: 1 << levels,
-        numbers: &[Number::size(levels), Number::Whole(params.bool("self_correct").into())],
-        ..Own::BARE
-    })
+    two_pass_form(
+        params,
+        view,
+        &Own {
+            shader: include_str!("../../shaders/wavelet.wgsl"),
+            blocks: &[FUNCTIONS, INTERVAL, OUTPUTS, TWO_PASS, blocks::COEFFICIENTS],
+            targets: INFO.targets,
+            map: (COEFFICIENTS.name, "rank"),
+            count: 1 << levels,
+            numbers: &[Number::size(levels), Number::Whole(params.bool("self_correct").into())],
+            ..Own::BARE
+        },
+    )
 }
 
 /// Haar coefficients of a depth range.
