@@ -129,10 +129,7 @@ pub fn interruptible<T: Send + 'static>(
 }
 
 /// Variants as the core takes them.
-pub fn requests(
-    variants: Vec<(Named<'_>, Bound<'_, PyDict>)>,
-    failures: &Failures,
-) -> PyResult<Vec<Request>> {
+pub fn requests(variants: Vec<(Named<'_>, Bound<'_, PyDict>)>, failures: &Failures) -> PyResult<Vec<Request>> {
     variants.into_iter().map(|(named, params)| named.request(&params, failures)).collect()
 }
 
