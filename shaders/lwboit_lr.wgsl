@@ -44,18 +44,19 @@ fn find_bounds(placed: Placed) -> @location(0) vec4f {
 
 const REACH = 2;
 
+const REACHED = 5;
+
 // A fragment on its way into bins.
 struct Part {
     own: i32,
-    // how far behind the centre of its own bin, in bin widths
-    x: f32,
     // weighted
     color: vec4f,
     alpha: f32,
-    absorbance: f32,
-    // of all bins that there are
-    shares: f32,
 }
+
+// Of the bins around its own: how much of its colour they get, and how much of their backgrounds that covers.
+var<private> color_shares: array<f32, REACHED>;
+var<private> coverages: array<f32, REACHED>;
 
 // How much of a fragment a bin gets whose centre is x bin widths away.
 fn faded(x: f32) -> f32 {
@@ -65,14 +66,28 @@ fn faded(x: f32) -> f32 {
     return max(0.0, 1.0 - abs(x));
 }
 
-fn share_of(part: Part, bin: i32) -> f32 {
-    if bin < 0 || bin >= i32(params.bins) || abs(bin - part.own) > REACH {
-        return 0.0;
+// Shares out a fragment that is x bin widths behind the centre of its own bin.
+fn share_out(own: i32, x: f32, alpha: f32) {
+    var sum = 0.0;
+    for (var i = 0; i < REACHED; i++) {
+        let bin = own + i - REACH;
+        var share = select(0.0, 1.0, i == REACH);
+        if params.fading != 0u {
+            share = faded(x - f32(i - REACH));
+        }
+        color_shares[i] = select(0.0, share, bin >= 0 && bin < i32(params.bins));
+        coverages[i] = color_shares[i] * alpha;
+        sum += color_shares[i];
     }
-    if params.fading == 0u {
-        return select(0.0, 1.0, bin == part.own);
+    if params.by_absorbance == 0u {
+        return;
     }
-    return faded(part.x - f32(bin - part.own));
+    let s = absorbance(alpha, params.s_max);
+    for (var i = 0; i < REACHED; i++) {
+        let beta = color_shares[i] / sum;
+        coverages[i] = one_minus_exp_minus(beta * s);
+        color_shares[i] = select(beta, coverages[i] / alpha, alpha > 0.0);
+    }
 }
 
 // Its place in bins, from the near edge of the first one, and the depth that weights see.
@@ -117,25 +132,17 @@ fn part_of(fragment: Fragment) -> Part {
         own -= 1.0;
     }
     own = clamp(own, 0.0, count - 1.0);
+    share_out(i32(own), (position.x - own) + position.y - 0.5, fragment.alpha);
     let weight = weight_of(params.weight, place.seen, fragment.alpha);
-    let color = weight * vec4f(fragment.color, fragment.alpha);
-    let x = (position.x - own) + position.y - 0.5;
-    var part = Part(i32(own), x, color, fragment.alpha, absorbance(fragment.alpha, params.s_max), 0.0);
-    for (var bin = part.own - REACH; bin <= part.own + REACH; bin++) {
-        part.shares += share_of(part, bin);
-    }
-    return part;
+    return Part(i32(own), weight * vec4f(fragment.color, fragment.alpha), fragment.alpha);
 }
 
-// How much of a fragment's colour a bin gets, and how much of the bin's background that covers.
-fn blended_into(part: Part, bin: i32) -> vec2f {
-    let share = share_of(part, bin);
-    if params.by_absorbance == 0u {
-        return vec2f(share, share * part.alpha);
-    }
-    let beta = share / part.shares;
-    let covered = one_minus_exp_minus(beta * part.absorbance);
-    return vec2f(select(beta, covered / part.alpha, part.alpha > 0.0), covered);
+fn is_reached(part: Part, bin: i32) -> bool {
+    return abs(bin - part.own) <= REACH;
+}
+
+fn covered_of(part: Part, bin: i32) -> f32 {
+    return select(0.0, coverages[clamp(bin - part.own + REACH, 0, REACHED - 1)], is_reached(part, bin));
 }
 
 // The bins' layers, then their channels, then what all leave.
@@ -143,15 +150,16 @@ fn output(part: Part, index: u32) -> vec4f {
     let bins = i32(params.bins);
     let at = i32(index);
     if at < bins {
-        return blended_into(part, at).x * part.color;
+        let share = color_shares[clamp(at - part.own + REACH, 0, REACHED - 1)];
+        return select(vec4f(0.0), share * part.color, is_reached(part, at));
     }
     let first = 4 * (at - bins);
     if first < bins {
         return vec4f(
-            blended_into(part, first).y,
-            blended_into(part, first + 1).y,
-            blended_into(part, first + 2).y,
-            blended_into(part, first + 3).y,
+            covered_of(part, first),
+            covered_of(part, first + 1),
+            covered_of(part, first + 2),
+            covered_of(part, first + 3),
         );
     }
     return vec4f(part.alpha);
@@ -160,12 +168,10 @@ fn output(part: Part, index: u32) -> vec4f {
 const OUTPUTS = 8u;
 
 // Whether anything of a fragment goes into the attachments at hand.
-fn goes_there(part: Part) -> bool {
+fn goes_there(part: Part, first: i32) -> bool {
     let bins = i32(params.bins);
-    let first = i32(first_output);
     let last = first + i32(OUTPUTS) - 1;
     let into_sums = first <= part.own + REACH && last >= part.own - REACH;
-    // a channel of bins before the first would be one of the layers
     let into_shares = first <= bins + (part.own + REACH) / 4 && last >= bins + max(part.own - REACH, 0) / 4;
     return into_sums || into_shares || last >= bins + (bins + 3) / 4;
 }
@@ -173,18 +179,19 @@ fn goes_there(part: Part) -> bool {
 @fragment
 fn blend_into_bins(placed: Placed) -> Outputs {
     let part = part_of(fragment_of(placed));
-    if !goes_there(part) {
+    let first = first_output_of(placed);
+    if !goes_there(part, i32(first)) {
         discard;
     }
     return Outputs(
-        output(part, first_output),
-        output(part, first_output + 1u),
-        output(part, first_output + 2u),
-        output(part, first_output + 3u),
-        output(part, first_output + 4u),
-        output(part, first_output + 5u),
-        output(part, first_output + 6u),
-        output(part, first_output + 7u),
+        output(part, first),
+        output(part, first + 1u),
+        output(part, first + 2u),
+        output(part, first + 3u),
+        output(part, first + 4u),
+        output(part, first + 5u),
+        output(part, first + 6u),
+        output(part, first + 7u),
     );
 }
 

@@ -156,11 +156,16 @@ fn real_part_of(z: vec2f) -> f32 {
 
 // How much of a point counts as in front: none of what is behind, all beyond the end of the circle, in the zone the more the
 // closer to that.
-fn counts(t: f32, turns: f32) -> f32 {
-    let beyond = TURN * (turns - 0.5) + 2.0 * arctangent(t);
-    if params.zone == 0.0 {
-        return select(0.0, 1.0, beyond >= 0.0);
+fn counts(t: f32, turns: vec2f) -> f32 {
+    // 2 atan t is the angle from opposite zeta; at either end no rounding decides
+    let half = unit_at(0.5 * turns);
+    if t * abs(half.y) >= half.x {
+        return 1.0;
     }
+    if params.zone == 0.0 {
+        return 0.0;
+    }
+    let beyond = TURN * (turns.x - 0.5) + 2.0 * arctangent(t);
     return clamp(1.0 + beyond / (TURN * params.zone), 0.0, 1.0);
 }
 
@@ -179,7 +184,7 @@ fn share_in_front(turns: vec2f) -> f32 {
         let u = 1.0 / scale;
         let v = t / scale;
         nodes[k + 1u] = product(zeta, vec2f(v * v - u * u, -2.0 * u * v) / (u * u + v * v));
-        differences[k + 1u] = vec2f(counts(t, turns.x), 0.0);
+        differences[k + 1u] = vec2f(counts(t, turns), 0.0);
     }
     // Newton's divided differences; nodes that coincide count once
     for (var order = 1u; order <= params.count; order++) {

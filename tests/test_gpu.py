@@ -27,6 +27,9 @@ from gpu_scenes import (
 pytestmark = pytest.mark.skipif(DEVICE is None, reason=WHY_NOT)
 
 IDS = [entry.id for entry in oitlab.techniques() if "gpu" in entry.backends]
+# Moments are solved for in single precision, which amplifies the rounding of their sums where depths all but coincide.
+# They are compared by what M18's implementations differ by, a tenth of it for nearly all pixels.
+CONFORMS = {"mboit_power": (2e-4, 2e-2), "mboit_trig": (2e-4, 2e-2)}
 
 
 def test_the_device_is_described() -> None:
@@ -37,7 +40,6 @@ def test_the_device_is_described() -> None:
     known = set(oitlab.techniques().ids)
     assert set(DEVICE.techniques) | set(DEVICE.refused) == known
     assert DEVICE.refused["slab"] == "has no GPU form yet"
-    assert DEVICE.refused["lwboit"].startswith('lwboit: storage="lr" has no form')
     assert {technique for technique, why in DEVICE.refused.items() if "no GPU form" in why} == known - set(
         IDS
     )
@@ -69,12 +71,14 @@ def test_coverage_and_primitives_are_those_of_the_cpu(name: str) -> None:
 @pytest.mark.parametrize("name", SCENES)
 def test_images_are_those_of_the_cpu_in_single_precision(name: str, technique: str) -> None:
     scene = SCENES[name]
-    params = PARAMS.get(technique, {})
-    got = oitlab.render(scene, technique, params, backend="gpu")
-    expected = oitlab.render(scene, technique, params)
+    got = oitlab.render(scene, technique, backend="gpu")
+    expected = oitlab.render(scene, technique)
     varies = 4 * VARYING_COLOR if name in (*CLIPPED, "smooth", "masked") else 0.0
     limit = tolerance(scene, expected) + varies
-    assert np.abs(got.color - expected.color).max() <= limit
+    most, worst = CONFORMS.get(technique, (limit, limit))
+    off = np.abs(got.color - expected.color)
+    assert np.quantile(off, 0.95) <= most
+    assert off.max() <= worst
     assert np.abs(got.transmittance - expected.transmittance).max() <= limit
     assert got.color.dtype == np.float32
     assert got.transmittance.shape == expected.transmittance.shape
@@ -117,11 +121,12 @@ def test_peeled_layers_are_those_of_the_cpu() -> None:
         assert np.abs(got.color - expected.color).max() <= tolerance(scene, expected), got.params
 
 
+@pytest.mark.parametrize("storage", ["lr", "ll"])
 @pytest.mark.parametrize("smooth", [False, True])
 @pytest.mark.parametrize("normalize", [False, True])
-def test_bins_are_those_of_the_cpu(smooth: bool, normalize: bool) -> None:
+def test_bins_are_those_of_the_cpu(storage: str, smooth: bool, normalize: bool) -> None:
     scene = SCENES["blades"]
-    base = {"storage": "ll", "smooth": smooth, "normalize": normalize}
+    base = {"storage": storage, "smooth": smooth, "normalize": normalize}
     more: list[dict[str, Any]] = [
         {"bins": 1},
         {"bins": 7, "weight": "one"},
@@ -217,9 +222,11 @@ got, expected = oitlab.gpu.capture(scene), oitlab.capture(scene)
 assert 112 * 400 > 2 * 16384 and 16 * len(expected) > 3 * 16384
 np.testing.assert_array_equal(got.offsets, expected.offsets)
 np.testing.assert_array_equal(got.primitive, expected.primitive)
-for technique in ("wboit", "a_buffer", "mlab", "phenomenological"):
+for technique in oitlab.gpu.info().techniques:
     pair = [oitlab.render(scene, technique, backend=backend) for backend in ("cpu", "gpu")]
-    np.testing.assert_allclose(pair[0].color, pair[1].color, rtol=0, atol=1e-5)
+    # moments are less like each other
+    limit = 1e-2 if technique.startswith("mboit") else 1e-5
+    np.testing.assert_allclose(pair[0].color, pair[1].color, rtol=0, atol=limit)
 try:
     oitlab.render(scene.replace(width=640, height=480), "wboit", backend="gpu")
 except ValueError as error:
@@ -271,7 +278,6 @@ def test_a_device_that_is_not_there_is_an_error_that_helps() -> None:
     ("technique", "params", "keywords", "message"),
     [
         ("slab", {}, {}, "'slab' has no GPU form yet; its backends: cpu"),
-        ("lwboit", {}, {}, 'lwboit: storage="lr" has no form'),
         ("lwboit", {"storage": "ll", "partition": "absorbance"}, {}, 'partition="absorbance" has no form'),
         ("lwboit", {"storage": "ll", "capacity": 3}, {}, "there capacity is 0"),
         ("mlab", {"layers": 33}, {}, "layers is at most 32"),

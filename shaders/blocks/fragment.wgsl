@@ -38,8 +38,14 @@ struct VaryingColor {
 override perspective: bool = true;
 // Fragments that neither cover nor emit are fragments, too.
 override shows_zero_fragments: bool = false;
-// The first attachment of a pass that draws its targets in parts.
-override first_output: u32 = 0u;
+// What primitives of the scene may have. Devices that run both sides of a branch pay for what there is none of.
+override has_outlines: bool = true;
+override has_slopes: bool = true;
+override has_varying_colors: bool = true;
+override has_zero_fragments: bool = true;
+
+// The first of the parts that a pass is drawn in, or the only one.
+var<private> is_first_part: bool = true;
 
 const NO_VARYING_COLOR = 0xffffffffu;
 const CENTER = 128;
@@ -52,7 +58,8 @@ struct Placed {
     @location(3) @interpolate(flat, either) color: vec4f,
     // id, varying colour, outline and its number of corners
     @location(4) @interpolate(flat, either) meta_data: vec4u,
-    @location(5) @interpolate(flat, either) anchor: vec2i,
+    // in pixels, and the first attachment of a pass that draws its targets in parts
+    @location(5) @interpolate(flat, either) anchor: vec3i,
 }
 
 struct Fragment {
@@ -65,7 +72,7 @@ struct Fragment {
 
 // Corners keep all their bits: the viewport's size is a power of two.
 @vertex
-fn place(@builtin(vertex_index) index: u32) -> Placed {
+fn place(@builtin(vertex_index) index: u32, @builtin(instance_index) first_output: u32) -> Placed {
     let primitive = &primitives[index / 3u];
     let offset = vec2f((*primitive).corners[index % 3u] - frame.viewport_center) / (256.0 * frame.half_viewport);
     var placed: Placed;
@@ -80,7 +87,7 @@ fn place(@builtin(vertex_index) index: u32) -> Placed {
         (*primitive).outline,
         (*primitive).outline_count,
     );
-    placed.anchor = (*primitive).anchor;
+    placed.anchor = vec3i((*primitive).anchor, i32(first_output));
     return placed;
 }
 
@@ -131,7 +138,7 @@ fn outline_covers(first: u32, count: u32, pixel: vec2u) -> bool {
 fn depth_of(placed: Placed, d: vec2f) -> f32 {
     let nearest = placed.depth_at.z;
     let farthest = placed.depth_at.w;
-    if nearest == farthest {
+    if !has_slopes || nearest == farthest {
         return nearest;
     }
     let value = linear(placed.depth_at.xy, placed.depth_x, placed.depth_y, d);
@@ -172,26 +179,31 @@ fn varying_color_at(index: u32, d: vec2f) -> vec4f {
     return mean_color(colors_of.corners, weights);
 }
 
+fn first_output_of(placed: Placed) -> u32 {
+    return u32(placed.anchor.z);
+}
+
 // What is to be seen of a primitive in a pixel; nothing of what is not.
 fn fragment_of(placed: Placed) -> Fragment {
     var fragment: Fragment;
     fragment.pixel = pixel_at(placed.position);
     fragment.primitive = placed.meta_data.x;
-    if placed.meta_data.w > 0u && !outline_covers(placed.meta_data.z, placed.meta_data.w, fragment.pixel) {
+    is_first_part = first_output_of(placed) == 0u;
+    if has_outlines && placed.meta_data.w > 0u && !outline_covers(placed.meta_data.z, placed.meta_data.w, fragment.pixel) {
         discard;
     }
-    let d = vec2f(vec2i(fragment.pixel) - placed.anchor);
+    let d = vec2f(vec2i(fragment.pixel) - placed.anchor.xy);
     fragment.depth = depth_of(placed, d);
-    if frame.has_opaque != 0u && fragment.depth > textureLoad(opaque_depth, fragment.pixel, 0).x {
+    if has_opaque && frame.has_opaque != 0u && fragment.depth > textureLoad(opaque_depth, fragment.pixel, 0).x {
         discard;
     }
     var color = placed.color;
-    if placed.meta_data.y != NO_VARYING_COLOR {
+    if has_varying_colors && placed.meta_data.y != NO_VARYING_COLOR {
         color = varying_color_at(placed.meta_data.y, d);
     }
     fragment.color = color.rgb;
     fragment.alpha = color.a;
-    if !shows_zero_fragments && all(color == vec4f(0.0)) {
+    if has_zero_fragments && !shows_zero_fragments && all(color == vec4f(0.0)) {
         discard;
     }
     return fragment;

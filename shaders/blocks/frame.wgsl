@@ -19,11 +19,14 @@ struct Frame {
 @group(0) @binding(1) var opaque_depth: texture_2d<f32>;
 @group(0) @binding(2) var opaque_color: texture_2d<f32>;
 
+// Whether the image has opaque surfaces, as far as a pipeline knows.
+override has_opaque: bool = true;
+
 const LARGEST = 3.4028234e38;
 
 // The opaque colour behind a pixel.
 fn background_at(pixel: vec2u) -> vec3f {
-    if frame.has_opaque == 0u {
+    if !has_opaque || frame.has_opaque == 0u {
         return frame.background;
     }
     return textureLoad(opaque_color, pixel, 0).rgb;

@@ -1,4 +1,4 @@
-// The attachments of a pass that is drawn in parts, from `first_output` on; what is beyond the last one goes nowhere.
+// The attachments of a pass that is drawn in parts, from `first_output_of(placed)` on; what is beyond the last one goes nowhere.
 
 struct Outputs {
     @location(0) at_0: vec4f,

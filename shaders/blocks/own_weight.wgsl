@@ -20,7 +20,7 @@ fn weight_of(weight: Weight, depth: f32, alpha: f32) -> f32 {
     // by its bits, since compilers may assume that there is no NaN: 0, negative, infinite or none
     let bits = bitcast<u32>(w);
     if own_is_lost() || bits == 0u || bits >= 0x7f800000u {
-        if is_first_part() {
+        if is_first_part {
             atomicAdd(&invalid_weights, 1u);
         }
         return LEAST_WEIGHT;

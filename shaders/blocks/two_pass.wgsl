@@ -61,15 +61,16 @@ fn find_bounds(placed: Placed) -> @location(0) vec4f {
 @fragment
 fn add_to_map(placed: Placed) -> Outputs {
     let term = term_of(fragment_of(placed));
+    let first = first_output_of(placed);
     return Outputs(
-        map_texel(term, first_output),
-        map_texel(term, first_output + 1u),
-        map_texel(term, first_output + 2u),
-        map_texel(term, first_output + 3u),
-        map_texel(term, first_output + 4u),
-        map_texel(term, first_output + 5u),
-        map_texel(term, first_output + 6u),
-        map_texel(term, first_output + 7u),
+        map_texel(term, first),
+        map_texel(term, first + 1u),
+        map_texel(term, first + 2u),
+        map_texel(term, first + 3u),
+        map_texel(term, first + 4u),
+        map_texel(term, first + 5u),
+        map_texel(term, first + 6u),
+        map_texel(term, first + 7u),
     );
 }
 

@@ -1,8 +1,6 @@
-// Depth weights (McGuire & Bavoil 2013, and the I3D 2016 shaders of the phenomenological model).
+// Depth weights (McGuire & Bavoil 2013, and the I3D 2016 shaders of the phenomenological model): `WEIGHT_FORMULA` says which.
 
 struct Weight {
-    // which of the functions below
-    formula: u32,
     k: f32,
     // weights see scale z + shift
     scale: f32,
@@ -12,6 +10,7 @@ struct Weight {
     inverse_far: f32,
     unused_0: u32,
     unused_1: u32,
+    unused_2: u32,
 }
 
 // 1 - d(z) with d of MB13 eq. 11.
@@ -39,7 +38,7 @@ fn formula_of(weight: Weight, z: f32, a: f32) -> f32 {
     let far = z / 200.0;
     let far_2 = far * far;
     let far_6 = far_2 * far_2 * far_2;
-    switch weight.formula {
+    switch WEIGHT_FORMULA {
         case 0u: {
             return 1.0;
         }

@@ -12,8 +12,9 @@ use crate::params::{Params, View};
 
 /// What a technique has of its own.
 pub struct Own<'a> {
-    /// Its shader, and the blocks that it wants.
+    /// Its shader ...
     pub shader: &'static str,
+    /// ... and the blocks that it wants.
     pub blocks: &'static [&'static str],
     /// What it stores.
     pub targets: &'static [Target],
@@ -97,7 +98,7 @@ pub fn two_pass_form(params: &Params, view: &View, own: &Own<'_>) -> Result<Form
         Number::Whole(0),
     ]);
     Ok(Form {
-        own_weight: None,
+        weight: None,
         shader: own.shader,
         numbers: shared.chain(own.numbers.iter().copied()).collect(),
         path: Path::Blended(Blending {
@@ -113,7 +114,8 @@ pub fn two_pass_form(params: &Params, view: &View, own: &Own<'_>) -> Result<Form
     })
 }
 
-fn composite(params: &Params) -> u32 {
+/// How sums meet the background, as shaders number it.
+pub fn composite(params: &Params) -> u32 {
     match Composite::from_params(params) {
         Composite::None => 0,
         Composite::ExactBackground => 1,

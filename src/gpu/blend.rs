@@ -215,7 +215,13 @@ impl Job<'_> {
         let group = self.targets.group(self.connection, layouts, &readings);
         let Some(targets) = group else { unreachable!("there is a target") };
         let entry = Entry { module: self.module, point: self.blending.resolve };
-        let pipeline = layouts.compute(&self.connection.device, entry, reads(&readings), true, &[]);
+        let pipeline = layouts.compute(
+            &self.connection.device,
+            entry,
+            reads(&readings),
+            true,
+            &self.picture.knowledge(),
+        );
         resolve(
             self.connection,
             layouts,
@@ -279,11 +285,7 @@ impl Job<'_> {
     ) -> Result<()> {
         let device = &self.connection.device;
         let first_output = part.first().map_or(0, |&first| self.place_of(draw, first));
-        let draws = Draws::Primitives {
-            perspective: self.picture.perspective,
-            zero_fragments: self.form.shows_zero_fragments,
-            first_output,
-        };
+        let draws = self.picture.draws(self.form.shows_zero_fragments);
         let state = |&(i, _): &(usize, usize)| {
             let Some(format) = self.targets.formats[i] else { unreachable!("it is drawn into") };
             blended(&self.blending.targets[i], format)
@@ -308,7 +310,7 @@ impl Job<'_> {
             if let Some(read) = &read {
                 pass.set_bind_group(2, read, &[]);
             }
-            draw_primitives(pass, self.picture, self.rows);
+            draw_primitives(pass, self.picture, self.rows, first_output);
         })
     }
 

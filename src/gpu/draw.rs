@@ -97,14 +97,14 @@ impl Gpu {
     /// [`Error::Argument`] for what the device cannot do, [`Error::Memory`] for what it has no room for, [`Error::Gpu`] and
     /// [`Error::Cancelled`].
     pub fn image(&mut self, picture: &Picture, form: &Form, stop: Stop<'_>) -> Result<Image> {
-        if form.own_weight.is_some() {
+        if form.counts_invalid_weights() {
             self.connection.queue.write_buffer(&self.invalid_weights, 0, &[0; 4]);
         }
         let mut image = match &form.path {
             Path::Blended(blending) => self.blended(picture, form, blending, stop),
             Path::Listed(listing) => self.listed(picture, form, listing, stop),
         }?;
-        if form.own_weight.is_some() {
+        if form.counts_invalid_weights() {
             image.invalid_weights = self.count_invalid_weights(stop)?;
         }
         Ok(image)
@@ -187,8 +187,13 @@ pub(super) fn attachment(
     })
 }
 
-/// Draws into targets that hold these rows of the image.
-pub(super) fn draw_primitives(pass: &mut RenderPass<'_>, picture: &Picture, rows: &Range<u32>) {
+/// Draws into targets that hold these rows of the image; shaders hear which of a pass's attachments is the first.
+pub(super) fn draw_primitives(
+    pass: &mut RenderPass<'_>,
+    picture: &Picture,
+    rows: &Range<u32>,
+    first_output: u32,
+) {
     #[expect(clippy::cast_precision_loss, reason = "whole numbers of less than 2^24")]
     let ((x, y), size) =
         ((picture.viewport.origin.0 as f32, picture.viewport.origin.1 as f32), picture.viewport.size as f32);
@@ -197,6 +202,6 @@ pub(super) fn draw_primitives(pass: &mut RenderPass<'_>, picture: &Picture, rows
     pass.set_scissor_rect(0, 0, picture.width, rows.end - rows.start);
     for (geometry, primitives) in &picture.batches {
         pass.set_bind_group(1, geometry, &[]);
-        pass.draw(0..3 * primitives, 0..1);
+        pass.draw(0..3 * primitives, first_output..first_output + 1);
     }
 }

@@ -18,12 +18,34 @@ pub struct Form {
     pub numbers: Vec<Number>,
     /// How it gets its fragments.
     pub path: Path,
-    /// A depth weight of somebody's own, in the place of the published ones: its function and what calls it.
-    pub own_weight: Option<String>,
+    /// The depth weight, where there is one.
+    pub weight: Option<WeightModule>,
     /// Whether fragments that neither cover nor emit are shown to it.
     pub shows_zero_fragments: bool,
     /// Whether the background's share is one per channel.
     pub colored_transmittance: bool,
+}
+
+/// The part of a shader that weighs fragments: `Weight` and `weight_of`.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct WeightModule {
+    /// Its text.
+    pub text: String,
+    /// Whether it may give what is no weight, and counts that.
+    pub counts_invalid: bool,
+}
+
+impl WeightModule {
+    /// A published weight, by its number in `weight.wgsl`.
+    pub fn published(formula: u32) -> Self {
+        let text = format!("const WEIGHT_FORMULA = {formula}u;\n{WEIGHT}");
+        Self { text, counts_invalid: false }
+    }
+
+    /// One of somebody's own, whose text has what `own_weight.wgsl` calls.
+    pub fn own(text: &str) -> Self {
+        Self { text: [text, OWN_WEIGHT].join("\n"), counts_invalid: true }
+    }
 }
 
 /// A member of a shader's uniform block.
@@ -183,7 +205,7 @@ pub struct Draw {
     /// The targets that it draws into. It may read those before them.
     pub targets: Range<usize>,
     /// Whether it draws in parts where the device takes fewer attachments at a time: the shader gives those from
-    /// `first_output` on.
+    /// `first_output_of` on.
     pub in_parts: bool,
 }
 
@@ -310,23 +332,15 @@ impl Listing {
 }
 
 impl Form {
-    /// Whether a pass that is drawn in parts is in its first one.
-    fn first_part(&self) -> &'static str {
-        match &self.path {
-            Path::Blended(blending) if blending.blocks.contains(&blocks::OUTPUTS) => {
-                "fn is_first_part() -> bool { return first_output == 0u; }"
-            }
-            _ => "fn is_first_part() -> bool { return true; }",
-        }
+    /// Whether its weight may give what is none.
+    pub fn counts_invalid_weights(&self) -> bool {
+        self.weight.as_ref().is_some_and(|weight| weight.counts_invalid)
     }
 
     /// The shader with the blocks that it may use.
     pub fn module(&self) -> String {
         let mut parts = vec![FRAME, DOUBLE, FRAGMENT, WEIGHT_BOUNDS];
-        match &self.own_weight {
-            Some(own) => parts.extend([own.as_str(), self.first_part(), OWN_WEIGHT]),
-            None => parts.push(WEIGHT),
-        }
+        parts.extend(self.weight.iter().map(|weight| weight.text.as_str()));
         parts.extend([SHARES_OF_LAYERS, RESOLVE]);
         let constants;
         match &self.path {

@@ -43,12 +43,26 @@ impl Viewport {
     }
 }
 
+/// What primitives may have. Shaders know what there is none of, since devices that run both sides of a branch pay for it.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Traits {
+    /// Outlines that are not those of the triangles that are drawn.
+    pub outlines: bool,
+    /// Depths that vary over a primitive.
+    pub slopes: bool,
+    /// Colours that vary over a primitive.
+    pub varying_colors: bool,
+    /// Fragments that neither cover nor emit.
+    pub zero_fragments: bool,
+}
+
 /// Primitives for one draw call, as words.
 #[derive(Debug, Default)]
 pub struct Packed {
     pub primitives: Vec<[u32; PRIMITIVE]>,
     pub varying: Vec<[u32; VARYING_COLOR]>,
     pub outlines: Vec<[i32; 2]>,
+    pub traits: Traits,
 }
 
 impl Packed {
@@ -92,6 +106,12 @@ impl Packed {
             }
         };
         record.signed([drawn.primitive.cast_signed(), varying.cast_signed()]);
+        let has = &mut self.traits;
+        has.outlines |= record.outline.1 > 0;
+        has.slopes |= near < far;
+        has.varying_colors |= varying != NONE;
+        has.zero_fragments |=
+            varying != NONE || matches!(drawn.paint, Paint::Flat(color) if color == [0.0; 4]);
         self.primitives.push(record.words);
     }
 

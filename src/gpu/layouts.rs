@@ -2,6 +2,7 @@
 
 use super::device::Connection;
 use super::form::{Blend, BlendTarget, Blending};
+use super::geometry::Traits;
 use crate::error::{Error, Result};
 use crate::format::Format;
 use std::collections::HashMap;
@@ -85,11 +86,16 @@ pub enum Reads<'a> {
     Targets(&'a [Option<Reading>]),
 }
 
+/// A pipeline's constant.
+pub fn flag(on: bool) -> f64 {
+    f64::from(u8::from(on))
+}
+
 /// What a render pipeline is for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Draws {
-    /// Primitives, into the attachments from the first one on.
-    Primitives { perspective: bool, zero_fragments: bool, first_output: u32 },
+    /// Primitives, of which this is known.
+    Primitives { perspective: bool, zero_fragments: bool, opaque: bool, traits: Traits },
     /// The whole image.
     Background,
 }
@@ -97,14 +103,17 @@ pub enum Draws {
 impl Draws {
     /// The vertex shader, and constants of both shaders.
     fn vertex(self) -> (&'static str, Vec<(&'static str, f64)>) {
-        let flag = |on: bool| f64::from(u8::from(on));
         match self {
             Self::Background => ("cover_all", vec![]),
-            Self::Primitives { perspective, zero_fragments, first_output } => {
+            Self::Primitives { perspective, zero_fragments, opaque, traits } => {
                 let constants = vec![
                     ("perspective", flag(perspective)),
                     ("shows_zero_fragments", flag(zero_fragments)),
-                    ("first_output", first_output.into()),
+                    ("has_opaque", flag(opaque)),
+                    ("has_outlines", flag(traits.outlines)),
+                    ("has_slopes", flag(traits.slopes)),
+                    ("has_varying_colors", flag(traits.varying_colors)),
+                    ("has_zero_fragments", flag(traits.zero_fragments)),
                 ];
                 ("place", constants)
             }

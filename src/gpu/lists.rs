@@ -3,7 +3,7 @@
 use super::device::Connection;
 use super::draw::{Gpu, Image, Stop, attachment, dispatch, draw_primitives, group, resolve};
 use super::form::{Form, Listing, Sorting, list_module};
-use super::layouts::{Draws, Entry, Layouts, Reads, plain};
+use super::layouts::{Entry, Layouts, Reads, plain};
 use super::picture::{Given, Picture, buffer, bytes_of, texture};
 use super::recorder::{Recorder, Stage, read};
 use crate::error::{Error, Result};
@@ -80,7 +80,8 @@ impl Gpu {
             }
             sort_lists(connection, layouts, &mut recorder, picture, groups, band, listing.sorted)?;
             let entry = Entry { module: &module, point: listing.resolve };
-            let pipeline = layouts.compute(&connection.device, entry, Reads::Lists, true, &[]);
+            let pipeline =
+                layouts.compute(&connection.device, entry, Reads::Lists, true, &picture.knowledge());
             resolve(connection, layouts, recorder, picture, form, band, &pipeline, groups, &mut image)?;
         }
         Ok(image)
@@ -267,7 +268,7 @@ fn draw_into_lists(
         TextureUsages::RENDER_ATTACHMENT,
     );
     let unused = unused.create_view(&TextureViewDescriptor::default());
-    let draws = Draws::Primitives { perspective: picture.perspective, zero_fragments: true, first_output: 0 };
+    let draws = picture.draws(true);
     let entry = Entry { module: &list_module(), point };
     let states = [plain(format, ColorWrites::empty())];
     let pipeline = layouts.render(&connection.device, entry, draws, Reads::Lists, &states);
@@ -276,6 +277,6 @@ fn draw_into_lists(
         pass.set_pipeline(&pipeline);
         pass.set_bind_group(0, frame, &[]);
         pass.set_bind_group(2, lists, &[]);
-        draw_primitives(pass, picture, rows);
+        draw_primitives(pass, picture, rows, 0);
     })
 }

@@ -1,8 +1,8 @@
 //! A scene on the device: its primitives, and the opaque surfaces behind them.
 
 use super::device::Connection;
-use super::geometry::{Packed, Viewport};
-use super::layouts::Layouts;
+use super::geometry::{Packed, Traits, Viewport};
+use super::layouts::{Draws, Layouts, flag};
 use crate::error::{Error, Result};
 use crate::raster::{Drawn, Rect};
 use wgpu::{
@@ -49,6 +49,8 @@ pub struct Picture {
     pub perspective: bool,
     pub background: [f32; 3],
     pub viewport: Viewport,
+    /// What its primitives have.
+    pub traits: Traits,
     pub has_opaque: bool,
     pub opaque_depth: TextureView,
     pub opaque_color: TextureView,
@@ -145,6 +147,7 @@ impl Picture {
             perspective: view.perspective,
             background: view.background,
             viewport,
+            traits: Traits::default(),
             has_opaque: view.opaque.is_some(),
             opaque_depth: uploaded(connection, "opaque depth", size, TextureFormat::R32Float, &opaque.depth),
             opaque_color: uploaded(
@@ -196,10 +199,13 @@ impl Picture {
         let mut packed = Packed::default();
         for primitive in primitives {
             if packed.bytes_with_one_more() > most {
+                let traits = packed.traits;
                 self.add_batch(connection, layouts, &std::mem::take(&mut packed));
+                packed.traits = traits;
             }
             packed.push(&primitive, &self.viewport, &image, self.perspective);
         }
+        self.traits = packed.traits;
         if !packed.primitives.is_empty() {
             self.add_batch(connection, layouts, &packed);
         }
@@ -231,6 +237,17 @@ impl Picture {
             entries: &entries,
         });
         self.batches.push((group, packed.primitives.len() as u32));
+    }
+
+    /// What a pipeline that draws its primitives has to know.
+    pub fn draws(&self, zero_fragments: bool) -> Draws {
+        let Self { perspective, has_opaque: opaque, traits, .. } = *self;
+        Draws::Primitives { perspective, zero_fragments, opaque, traits }
+    }
+
+    /// The constants of a pipeline that makes its image.
+    pub fn knowledge(&self) -> [(&'static str, f64); 1] {
+        [("has_opaque", flag(self.has_opaque))]
     }
 
     /// Fragments, and those of the deepest pixel.

@@ -77,7 +77,7 @@ fn gpu(params: &Params, _view: &View) -> Result<Form> {
     only(params, "overflow", "grow")?;
     only_default_formats(params, INFO.targets)?;
     Ok(Form {
-        own_weight: None,
+        weight: None,
         shader: include_str!("../../shaders/a_buffer.wgsl"),
         numbers: Vec::new(),
         path: Path::Listed(Listing {

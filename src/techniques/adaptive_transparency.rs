@@ -83,7 +83,7 @@ fn gpu(params: &Params, _view: &View) -> Result<Form> {
     let layers = Some(layers(params)?);
     let protected = Number::Whole(protected(params) as u32);
     Ok(Form {
-        own_weight: None,
+        weight: None,
         shader: include_str!("../../shaders/adaptive_transparency.wgsl"),
         numbers: vec![backwards, protected, Composite::from_params(params).number()],
         path: Path::Listed(Listing { resolve: "resolve", sorted, layers, sizes: vec![] }),

@@ -69,7 +69,7 @@ pub(super) fn gpu_composite(params: &Params, formats: &Formats) -> Result<Form> 
     Ok(Form {
         shader: include_str!("../../shaders/alpha_compositing.wgsl"),
         numbers: Vec::new(),
-        own_weight: None,
+        weight: None,
         path: Path::Blended(blending),
         shows_zero_fragments: false,
         colored_transmittance: false,

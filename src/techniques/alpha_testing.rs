@@ -61,7 +61,7 @@ fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
 fn gpu(params: &Params, _view: &View) -> Result<Form> {
     only_single_formats(params, INFO.targets)?;
     Ok(Form {
-        own_weight: None,
+        weight: None,
         shader: include_str!("../../shaders/alpha_testing.wgsl"),
         // an f32 is larger than a number if it is larger than the next f32 below
         numbers: vec![Number::below(params.float("threshold"))],

@@ -67,7 +67,7 @@ fn gpu(params: &Params, _view: &View) -> Result<Form> {
     let layers = Some(layers(params)?);
     let [thickness, rest] = Number::in_two(params.float("thickness").min(f32::MAX.into()));
     Ok(Form {
-        own_weight: None,
+        weight: None,
         shader: include_str!("../../shaders/avsm.wgsl"),
         numbers: vec![backwards, Composite::from_params(params).number(), thickness, rest],
         path: Path::Listed(Listing { resolve: "resolve", sorted, layers, sizes: vec![] }),

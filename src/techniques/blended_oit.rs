@@ -62,7 +62,7 @@ fn gpu(params: &Params, _view: &View) -> Result<Form> {
         BlendTarget::product("revealage_format", revealage, 1, Blend::Attenuate),
     ];
     Ok(Form {
-        own_weight: None,
+        weight: None,
         shader: include_str!("../../shaders/blended_oit.wgsl"),
         numbers: vec![Number::float(format.max_finite(0))],
         path: Path::Blended(Blending::once("accumulate", "resolve", targets)),

@@ -72,7 +72,7 @@ fn gpu(params: &Params, _view: &View) -> Result<Form> {
     only_single_formats(params, &TARGETS)?;
     only(params, "summation", "plain")?;
     Ok(Form {
-        own_weight: None,
+        weight: None,
         shader: include_str!("../../shaders/deep_shadow_maps.wgsl"),
         numbers: vec![
             saturated(params.size("vertices")),

@@ -69,7 +69,7 @@ fn gpu(params: &Params, _view: &View) -> Result<Form> {
     only(params, "summation", "plain")?;
     let sizes = vec![("CLUSTERS", at_most(params, "bins", MOST_CLUSTERS)?)];
     Ok(Form {
-        own_weight: None,
+        weight: None,
         shader: include_str!("../../shaders/density_clustering.wgsl"),
         numbers: vec![
             saturated(params.size("iterations")),

@@ -121,7 +121,7 @@ fn gpu(params: &Params, _view: &View) -> Result<Form> {
         Number::float(format.max_finite(0)),
     ];
     Ok(Form {
-        own_weight: None,
+        weight: None,
         shader: include_str!("../../shaders/gs_wsr.wgsl"),
         numbers,
         path,

@@ -81,7 +81,7 @@ fn gpu(params: &Params, _view: &View) -> Result<Form> {
     // no order of submission changes more than the rounding of sums
     let sorted = Sorting::Submission;
     Ok(Form {
-        own_weight: None,
+        weight: None,
         shader: include_str!("../../shaders/hybrid_transparency.wgsl"),
         numbers: vec![Number::Whole(is_counted.into()), Number::Whole(is_global.into())],
         path: Path::Listed(Listing { resolve: "resolve", sorted, layers, sizes: vec![] }),

@@ -62,7 +62,7 @@ fn gpu(params: &Params, _view: &View) -> Result<Form> {
     let (sorted, backwards) = submission(params)?;
     let layers = Some(layers(params)?);
     Ok(Form {
-        own_weight: None,
+        weight: None,
         shader: include_str!("../../shaders/mlab.wgsl"),
         numbers: vec![backwards],
         path: Path::Listed(Listing { resolve: "resolve", sorted, layers, sizes: vec![] }),

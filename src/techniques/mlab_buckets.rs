@@ -139,7 +139,7 @@ fn gpu(params: &Params, view: &View) -> Result<Form> {
         Number::float(farthest),
     ];
     Ok(Form {
-        own_weight: None,
+        weight: None,
         shader: include_str!("../../shaders/mlab_buckets.wgsl"),
         numbers,
         path: Path::Listed(Listing { resolve, sorted, layers: Some(nodes), sizes: vec![] }),

@@ -104,7 +104,7 @@ fn gpu(params: &Params, _view: &View) -> Result<Form> {
     let resolve = if is_hybrid { "resolve_alphas" } else { "resolve_masks" };
     let sizes = vec![(MASK_WORDS, bits.div_ceil(32).max(1))];
     Ok(Form {
-        own_weight: None,
+        weight: None,
         shader: include_str!("../../shaders/mlcb.wgsl"),
         numbers: vec![Number::Whole(bits), Number::Whole(1), low, high, backwards, Number::Whole(levels)],
         path: Path::Listed(Listing { resolve, sorted, layers: Some(layers), sizes }),

@@ -85,7 +85,7 @@ fn gpu(params: &Params, _view: &View) -> Result<Form> {
     only(params, "mode", "nearest")?;
     let layers = params.size("layers").saturating_mul(params.size("passes"));
     Ok(Form {
-        own_weight: None,
+        weight: None,
         shader: include_str!("../../shaders/multilayer_depth_peeling.wgsl"),
         numbers: vec![Number::Whole(u32::try_from(layers).unwrap_or(u32::MAX))],
         path: Path::Listed(Listing {

@@ -106,7 +106,7 @@ fn gpu(params: &Params, _view: &View) -> Result<Form> {
     let weight = weighting(params)?.shading(params)?;
     let more = [format.max_finite(0), params.float("divisor_floor")];
     Ok(Form {
-        own_weight: None,
+        weight: Some(weight.module),
         shader: include_str!("../../shaders/phenomenological.wgsl"),
         numbers: weight
             .numbers

@@ -61,7 +61,7 @@ fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
 fn gpu(params: &Params, _view: &View) -> Result<Form> {
     only_single_formats(params, INFO.targets)?;
     Ok(Form {
-        own_weight: None,
+        weight: None,
         shader: include_str!("../../shaders/screen_door.wgsl"),
         numbers: vec![Number::Whole(at_most(params, "samples", MOST_SAMPLES)?)],
         path: Path::Listed(Listing {

@@ -149,7 +149,7 @@ fn gpu(params: &Params, view: &View) -> Result<Form> {
     ];
     let masking = masking(params, "bits", params.text("probability") == "stratified");
     Ok(Form {
-        own_weight: None,
+        weight: None,
         shader: include_str!("../../shaders/slab.wgsl"),
         numbers: masking.into_iter().chain(more).collect(),
         path: Path::Listed(Listing { resolve: "resolve", sorted: Sorting::Depth, layers: None, sizes }),

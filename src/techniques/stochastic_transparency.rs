@@ -97,7 +97,7 @@ fn gpu(params: &Params, _view: &View) -> Result<Form> {
     let masking = masking(params, "samples", params.bool("stratified"));
     let corrected = Number::Whole((params.text("correction") == "alpha").into());
     Ok(Form {
-        own_weight: None,
+        weight: None,
         shader: include_str!("../../shaders/stochastic_transparency.wgsl"),
         numbers: masking.into_iter().chain([corrected]).collect(),
         path: Path::Listed(Listing { resolve, sorted: Sorting::Depth, layers: None, sizes }),

@@ -1,6 +1,9 @@
 //! Transmittance function maps (Delalandre et al. 2011) and extinction transmittance maps (Gautron et al. 2011):
 //! a cosine series of transmittance, or of extinction, which adds up in any order.
 
+mod form;
+
+use self::form::gpu;
 use crate::continuum::absorbance::{
     S_MAX, SELF_CORRECT, absorbance, absorbances, transmittance, transmittances,
 };
@@ -9,13 +12,10 @@ use crate::continuum::range::{DepthRange, Interval};
 use crate::continuum::ringing::{RINGS, exp_minus, ringing};
 use crate::continuum::series::{LANES, Lanes, Rotor, blocks, half_turns, harmonics, project, sum};
 use crate::continuum::stored_oracle::{COEFFICIENTS, StoredOracle, technique};
-use crate::continuum::two_pass_form::{Own, two_pass_form};
 use crate::diagnosis::{Diagnosis, Faults};
 use crate::error::Result;
 use crate::format::{Format, Formats, SUMMATION, Target};
 use crate::fragments::{Fragment, List};
-use crate::gpu::form::blocks::{self, FUNCTIONS, INTERVAL, OUTPUTS, TWO_PASS};
-use crate::gpu::form::{Form, Number, only};
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties};
 use crate::techniques::ANY_ORDER;
@@ -71,25 +71,6 @@ fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
     } else {
         technique(Curve::from_params(params, view), INFO.targets, params)
     })
-}
-
-/// Its form on a GPU.
-fn gpu(params: &Params, view: &View) -> Result<Form> {
-    only(params, "project", "extinction")?;
-    let frequencies = params.size("frequencies");
-    two_pass_form(
-        params,
-        view,
-        &Own {
-            shader: include_str!("../../shaders/tfm.wgsl"),
-            blocks: &[FUNCTIONS, INTERVAL, OUTPUTS, TWO_PASS, blocks::COEFFICIENTS],
-            targets: INFO.targets,
-            map: (COEFFICIENTS.name, "frequencies"),
-            count: frequencies.saturating_add(1),
-            numbers: &[Number::size(frequencies), Number::Whole(params.bool("self_correct").into())],
-            ..Own::BARE
-        },
-    )
 }
 
 /// The cosine coefficients of a pixel, in f64: they cancel where it is dark.

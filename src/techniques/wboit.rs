@@ -115,7 +115,7 @@ fn gpu(params: &Params, _view: &View) -> Result<Form> {
     Ok(Form {
         shader: include_str!("../../shaders/wboit.wgsl"),
         numbers: weight.numbers.into_iter().chain(more).collect(),
-        own_weight: weight.own,
+        weight: Some(weight.module),
         path: Path::Blended(Blending::once(draw, resolve, targets)),
         shows_zero_fragments: false,
         colored_transmittance: false,

@@ -63,7 +63,7 @@ fn gpu(params: &Params, _view: &View) -> Result<Form> {
         BlendTarget::sums("count_format", count, 1),
     ];
     Ok(Form {
-        own_weight: None,
+        weight: None,
         shader: include_str!("../../shaders/weighted_average.wgsl"),
         numbers: vec![Number::float(format.max_finite(0))],
         path: Path::Blended(Blending::once("accumulate", "resolve", targets)),

@@ -57,7 +57,7 @@ fn gpu(params: &Params, _view: &View) -> Result<Form> {
     let format = target_format(params, &formats, "accumulation", "accumulation_format", SHARES)?;
     let targets = vec![BlendTarget::sums("accumulation_format", format, 4)];
     Ok(Form {
-        own_weight: None,
+        weight: None,
         shader: include_str!("../../shaders/weighted_sum.wgsl"),
         numbers: vec![Number::float(format.max_finite(0))],
         path: Path::Blended(Blending::once("accumulate", "resolve", targets)),

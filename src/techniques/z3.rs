@@ -67,7 +67,7 @@ fn gpu(params: &Params, _view: &View) -> Result<Form> {
     let layers = Some(layers(params)?);
     let at_mean = Number::Whole((params.text("merge_depth") == "mean").into());
     Ok(Form {
-        own_weight: None,
+        weight: None,
         shader: include_str!("../../shaders/z3.wgsl"),
         numbers: vec![backwards, at_mean],
         path: Path::Listed(Listing { resolve: "resolve", sorted, layers, sizes: vec![] }),

@@ -2,7 +2,7 @@
 
 use super::{Formula, Function, Planes, Weighting};
 use crate::error::Result;
-use crate::gpu::form::Number;
+use crate::gpu::form::{Number, WeightModule};
 use crate::own::{MAX_ITERATIONS, PREFIX, Source, TURNS};
 use crate::params::{Params, Setting};
 use std::fmt::Write;
@@ -12,8 +12,8 @@ use std::fmt::Write;
 pub struct Shading {
     /// The members of `Weight`.
     pub numbers: Vec<Number>,
-    /// A function of somebody's own, as `shaders/blocks/own_weight.wgsl` calls it.
-    pub own: Option<String>,
+    /// What computes it.
+    pub module: WeightModule,
 }
 
 impl Weighting {
@@ -23,13 +23,13 @@ impl Weighting {
     /// `Error::Param` for a callable, which no shader can call.
     pub fn shading(&self, params: &Params) -> Result<Shading> {
         if let Function::Published(formula) = self.function {
-            return Ok(Shading { numbers: self.published(formula), own: None });
+            return Ok(self.published(formula));
         }
         match params.setting("weight") {
             Setting::Written(source) => {
                 let planes = Planes::from_params(params)?;
                 let numbers = self.own_numbers(planes, &params.uniforms("weight"));
-                Ok(Shading { numbers, own: Some(own_module(source)) })
+                Ok(Shading { numbers, module: WeightModule::own(&own_module(source)) })
             }
             _ => {
                 let problem = "a callable has no form on the backend \"gpu\"";
@@ -38,7 +38,7 @@ impl Weighting {
         }
     }
 
-    fn published(&self, formula: Formula) -> Vec<Number> {
+    fn published(&self, formula: Formula) -> Shading {
         let (index, k, planes) = match formula {
             Formula::One => (0, 0.0, None),
             Formula::Mb7 => (1, 0.0, None),
@@ -54,8 +54,9 @@ impl Weighting {
         };
         let Planes { scale, inverse_far } = planes.unwrap_or(Planes { scale: 0.0, inverse_far: 0.0 });
         let floats = [k, self.seen.scale, self.seen.shift, scale, inverse_far].map(Number::Float);
-        let unused = [Number::Whole(0); 2];
-        [Number::Whole(index)].into_iter().chain(floats).chain(unused).collect()
+        let unused = [Number::Whole(0); 3];
+        let numbers = floats.into_iter().chain(unused).collect();
+        Shading { numbers, module: WeightModule::published(index) }
     }
 
     fn own_numbers(&self, planes: Planes, uniforms: &[f32]) -> Vec<Number> {

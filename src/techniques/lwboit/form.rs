@@ -74,7 +74,7 @@ fn listed(params: &Params, view: &View) -> Result<Form> {
     ];
     Ok(Form {
         shader: include_str!("../../../shaders/lwboit.wgsl"),
-        own_weight: weight.own,
+        weight: Some(weight.module),
         numbers: weight.numbers.into_iter().chain(more).collect(),
         path: Path::Listed(Listing {
             resolve: "resolve",
@@ -119,7 +119,7 @@ fn layered(params: &Params, view: &View) -> Result<Form> {
     ];
     Ok(Form {
         shader: include_str!("../../../shaders/lwboit_lr.wgsl"),
-        own_weight: weight.own,
+        weight: Some(weight.module),
         numbers: weight.numbers.into_iter().chain(range.numbers()).chain(more).collect(),
         path: Path::Blended(Blending {
             targets,
