@@ -23,7 +23,7 @@ MAPS = (
     "wavelet",
 )
 MOMENTS = ("mboit_power", "mboit_trig")
-# What implementations of M18's moments differ by for 95 % of pixels, and at worst: eight moments, and no bias,
+# What implementations of M18 differ by for 95 % of pixels, and at worst: eight moments, and no bias,
 # leave little of single precision.
 CONFORMS, CONFORMS_AT_WORST = 2e-3, 0.1
 # A device rounds T and each coefficient as often as it adds to them, relative to all absorbance of the pixel;

@@ -42,7 +42,7 @@ impl Common {
             }
         };
         Ok(Self {
-            weight: weight.to_vec(),
+            weight,
             bins: u32::try_from(params.size("bins")).unwrap_or_else(|_| unreachable!("at most 512")),
             fading,
             anchor: if params.text("shape_anchor") == "edge" { 0.0 } else { 0.5 },
