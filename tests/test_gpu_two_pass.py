@@ -23,11 +23,11 @@ MAPS = (
     "wavelet",
 )
 MOMENTS = ("mboit_power", "mboit_trig")
-# What implementations of moments differ by for nearly all pixels, and at worst (M18; a tenth of what the sheet allows
-# for 95 %). Eight moments, and no bias, leave little of single precision.
+# What implementations of M18 differ by for 95 % of pixels, and at worst: eight moments, and no bias,
+# leave little of single precision.
 CONFORMS, CONFORMS_AT_WORST = 2e-3, 0.1
-# A device rounds T and each coefficient as often as it adds to them, relative to all absorbance of the pixel; the series,
-# products and functions of a term take some eight roundings more.
+# A device rounds T and each coefficient as often as it adds to them, relative to all absorbance of the pixel;
+# the series, products and functions of a term take some eight roundings more.
 TERMS = 8
 
 

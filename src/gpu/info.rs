@@ -61,6 +61,7 @@ fn describe(connection: &Connection) -> Info {
         ("image_side", u64::from(limits.max_texture_dimension_2d)),
         ("buffer_bytes", limits.max_buffer_size),
         ("binding_bytes", limits.max_storage_buffer_binding_size),
+        ("target_layers", u64::from(limits.max_texture_array_layers)),
         ("target_bytes_per_pixel", u64::from(limits.max_color_attachment_bytes_per_sample)),
     ];
     Info { texts, features, limits, techniques: Vec::new(), refused: Vec::new() }
