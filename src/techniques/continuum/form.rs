@@ -1,0 +1,149 @@
+//! A composition on a GPU: its choices as the shader's params.
+
+use super::setup::Setup;
+use super::storage::TARGETS;
+use crate::continuum::oracle::Composite;
+use crate::continuum::range::DepthRange;
+use crate::error::Result;
+use crate::gpu::form::{
+    Form, Listing, MASK_WORDS, Number, Path, Sorting, at_most, layers, mask_size, masking, only_single_formats,
+    submission,
+};
+use crate::params::{Params, View};
+use crate::weight::Weighting;
+
+/// The parts of the shader: what all compositions share, and what those of each kind of memory have.
+const LAYERS: &str = concat!(
+    include_str!("../../../shaders/continuum/axes.wgsl"),
+    include_str!("../../../shaders/continuum/layers.wgsl")
+);
+const LISTS: &str = concat!(
+    include_str!("../../../shaders/continuum/axes.wgsl"),
+    include_str!("../../../shaders/continuum/lists.wgsl"),
+    include_str!("../../../shaders/continuum/bins.wgsl")
+);
+
+/// So many bins, and samples of fixed thresholds, are told apart without rounding.
+const MOST_BINS: u32 = 1 << 16;
+const MOST_SAMPLES: u32 = 1 << 24;
+
+/// The form of the composition that the params ask for.
+///
+/// # Errors
+/// `Error::Param` with the reason if it has no meaning, or no form.
+pub fn form(params: &Params, view: &View) -> Result<Form> {
+    let setup = Setup::from_params(params, view)?;
+    only_single_formats(params, &TARGETS)?;
+    let weights = Weighting::from_params(params)?.numbers().ok_or_else(|| {
+        params.error("this weight has no form on the backend \"gpu\"", "there weights are the published ones")
+    })?;
+    let (masking, mask_words) = masks(&setup, params)?;
+    // in which order fragments come is all the same to many, so that they may come sorted
+    let (sorted, backwards) =
+        if setup.properties().order_independent { (Sorting::Depth, Number::Whole(0)) } else { submission(params)? };
+    let most = if setup.memory == "layers" || setup.insertion == "nearest" { layers(params)? } else { 1 };
+    let numbers = masking.into_iter().chain(weights).chain(axes(&setup)).chain([backwards]);
+    let sizes = numbers.chain(sizes(&setup, params)?).collect();
+    let (shader, resolve) = entry(&setup);
+    Ok(Form {
+        shader,
+        numbers: sizes,
+        path: Path::Listed(Listing { resolve, sorted, layers: Some(most), sizes: vec![mask_words] }),
+        shows_zero_fragments: false,
+        colored_transmittance: false,
+    })
+}
+
+/// The shader and its entry point.
+fn entry(setup: &Setup) -> (&'static str, &'static str) {
+    match (setup.memory, setup.merge) {
+        ("none", _) => (LISTS, "resolve_functions"),
+        ("layers", _) => (LAYERS, "resolve_layers"),
+        ("bins", "sum" | "average") => (LISTS, "resolve_bins"),
+        _ => (LISTS, "resolve_lists"),
+    }
+}
+
+/// Random masks, those that decide by chance alone, or none; and the words of what is kept.
+fn masks(setup: &Setup, params: &Params) -> Result<([Number; 4], (&'static str, u32))> {
+    let random = setup.insertion == "stochastic";
+    let stratified = params.text("probability") == "stratified";
+    let kept = match (setup.memory, setup.opacity) {
+        ("samples", _) if random => Some("samples"),
+        ("samples", _) => None,
+        (_, "coverage") => Some("bits"),
+        _ => None,
+    };
+    if let Some(name) = kept {
+        return Ok((masking(params, name, stratified), mask_size(params, name)?));
+    }
+    let mut chance = masking(params, "bits", stratified);
+    if random {
+        mask_size(params, "bits")?;
+    } else {
+        chance[0] = Number::Whole(0);
+    }
+    Ok((chance, (MASK_WORDS, 1)))
+}
+
+/// The choices.
+fn axes(setup: &Setup) -> [Number; 6] {
+    let insertion = match setup.insertion {
+        "threshold" => 1,
+        "nearest" => 2,
+        "stochastic" => 3,
+        _ => 0,
+    };
+    let merge = match setup.merge {
+        "discard_furthest" => 1,
+        "over_furthest" => 2,
+        "over_nearest" => 3,
+        "over_closest" => 4,
+        "smallest_error" => 5,
+        "over_arrival" => 6,
+        "discard_occluded" => 7,
+        "sum" => 8,
+        "average" => 9,
+        "discard_occupied" => 10,
+        _ => 0,
+    };
+    let normalize = match setup.normalize {
+        "tail" => 1,
+        "global" => 2,
+        _ => 0,
+    };
+    // a tail is what is not stored, and needs no second pass
+    let second_pass = setup.accumulate == "all" && setup.normalize != "tail";
+    let composite = match (setup.normalize, setup.memory) {
+        ("global", _) => Composite::Normalize,
+        (_, "samples") => Composite::ExactBackground,
+        (_, _) => Composite::None,
+    };
+    let covers_samples = setup.opacity == "coverage";
+    let choices = [insertion, merge, normalize, covers_samples.into(), second_pass.into()].map(Number::Whole);
+    let [a, b, c, d, e] = choices;
+    [a, b, c, d, e, composite.number()]
+}
+
+/// Samples, bins and what bounds numbers.
+fn sizes(setup: &Setup, params: &Params) -> Result<[Number; 7]> {
+    let samples = match setup.memory {
+        "samples" => at_most(params, "samples", MOST_SAMPLES)?,
+        _ if setup.opacity == "coverage" => at_most(params, "bits", MOST_SAMPLES)?,
+        _ => 1,
+    };
+    let bins = if setup.memory == "bins" { at_most(params, "bins", MOST_BINS)? } else { 1 };
+    let (of_pixel, nearest, farthest) = match setup.range {
+        DepthRange::Pixel => (1, 0.0, 0.0),
+        DepthRange::Fixed(lo, hi) => (0, lo, hi),
+    };
+    Ok([
+        Number::Whole(samples),
+        Number::Whole(bins),
+        Number::Whole(of_pixel),
+        Number::float(nearest),
+        Number::float(farthest),
+        Number::below(params.float("threshold")),
+        Number::float(params.float("s_max")),
+    ])
+}
