@@ -34,6 +34,7 @@ use crate::techniques::ANY_ORDER;
 use crate::weight::{self, Weighting};
 use binned::{AveragedBins, AveragedSteps, Binning, Gate, SummedBins};
 use finish::Finish;
+pub(super) use form::slab_as_submitted;
 use setup::Setup;
 use storage::{Storage, TARGETS};
 

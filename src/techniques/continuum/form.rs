@@ -6,11 +6,11 @@ use crate::continuum::oracle::Composite;
 use crate::continuum::range::DepthRange;
 use crate::error::Result;
 use crate::gpu::form::{
-    Form, Listing, MASK_WORDS, Number, Path, Sorting, at_most, layers, mask_size, masking, only_single_formats,
-    submission,
+    Form, Listing, MASK_WORDS, Number, Path, Sorting, at_most, layers, mask_size, masking,
+    only_single_formats, submission,
 };
 use crate::params::{Params, View};
-use crate::weight::Weighting;
+use crate::weight::{Formula, Function, Weighting};
 
 /// The parts of the shader: what all compositions share, and what those of each kind of memory have.
 const LAYERS: &str = concat!(
@@ -34,24 +34,81 @@ const MOST_SAMPLES: u32 = 1 << 24;
 pub fn form(params: &Params, view: &View) -> Result<Form> {
     let setup = Setup::from_params(params, view)?;
     only_single_formats(params, &TARGETS)?;
-    let weights = Weighting::from_params(params)?.numbers().ok_or_else(|| {
+    let weight = Weighting::from_params(params)?.numbers().ok_or_else(|| {
         params.error("this weight has no form on the backend \"gpu\"", "there weights are the published ones")
     })?;
     let (masking, mask_words) = masks(&setup, params)?;
-    // in which order fragments come is all the same to many, so that they may come sorted
-    let (sorted, backwards) =
-        if setup.properties().order_independent { (Sorting::Depth, Number::Whole(0)) } else { submission(params)? };
-    let most = if setup.memory == "layers" || setup.insertion == "nearest" { layers(params)? } else { 1 };
-    let numbers = masking.into_iter().chain(weights).chain(axes(&setup)).chain([backwards]);
-    let sizes = numbers.chain(sizes(&setup, params)?).collect();
     let (shader, resolve) = entry(&setup);
-    Ok(Form {
-        shader,
-        numbers: sizes,
-        path: Path::Listed(Listing { resolve, sorted, layers: Some(most), sizes: vec![mask_words] }),
-        shows_zero_fragments: false,
-        colored_transmittance: false,
-    })
+    // in which order fragments come is all the same to many, so that they may come sorted
+    let order = if setup.properties().order_independent {
+        (Sorting::Depth, Number::Whole(0))
+    } else {
+        submission(params)?
+    };
+    let keeps_keys = setup.memory == "layers" || setup.insertion == "nearest";
+    let layers = if keeps_keys { layers(params)? } else { 1 };
+    let sizes = sizes(&setup, params)?;
+    let composition =
+        Composition { masking, mask_words, weight, choices: axes(&setup), order, layers, sizes };
+    Ok(composition.form(shader, resolve))
+}
+
+/// What a shader knows of a composition.
+struct Composition {
+    masking: [Number; 4],
+    mask_words: (&'static str, u32),
+    weight: Vec<Number>,
+    choices: [Number; 6],
+    order: (Sorting, Number),
+    layers: u32,
+    sizes: [Number; 7],
+}
+
+impl Composition {
+    fn form(self, shader: &'static str, resolve: &'static str) -> Form {
+        let (sorted, backwards) = self.order;
+        let numbers = self.masking.into_iter().chain(self.weight).chain(self.choices).chain([backwards]);
+        Form {
+            shader,
+            numbers: numbers.chain(self.sizes).collect(),
+            path: Path::Listed(Listing {
+                resolve,
+                sorted,
+                layers: Some(self.layers),
+                sizes: vec![self.mask_words],
+            }),
+            shows_zero_fragments: false,
+            colored_transmittance: false,
+        }
+    }
+}
+
+/// The form of slab's list as fragments are submitted, which is that of a composition. What is not stored is `tail`, or else
+/// all fragments are seen through the list if there is a `second_pass`.
+///
+/// # Errors
+/// `Error::Param` for sizes and orders that have none.
+pub fn slab_as_submitted(params: &Params, tail: bool, second_pass: Option<Composite>) -> Result<Form> {
+    let keeps_masks = params.text("variant") == "mask";
+    let mask_words = mask_size(params, "bits")?;
+    let [stochastic, discard_furthest] = [3, 1];
+    let composition = Composition {
+        masking: masking(params, "bits", params.text("probability") == "stratified"),
+        mask_words: if keeps_masks { mask_words } else { (MASK_WORDS, 1) },
+        weight: Weighting::new(Function::Published(Formula::One), 1.0, 0.0).numbers().unwrap_or_default(),
+        choices: [
+            Number::Whole(stochastic),
+            Number::Whole(discard_furthest),
+            Number::Whole(tail.into()),
+            Number::Whole(keeps_masks.into()),
+            Number::Whole(second_pass.is_some().into()),
+            second_pass.unwrap_or(Composite::None).number(),
+        ],
+        order: submission(params)?,
+        layers: layers(params)?,
+        sizes: [Number::Whole(0); 7],
+    };
+    Ok(composition.form(LAYERS, "resolve_layers"))
 }
 
 /// The shader and its entry point.
