@@ -16,6 +16,11 @@ fn lanes(word: u32, bits: u32) -> u32 {
     return select(0xffffffffu, (1u << (bits - first)) - 1u, bits - first < 32u);
 }
 
+// As many as MASK_WORDS; but loops that long must not be unrolled.
+fn words_of(masking: Masking) -> u32 {
+    return (masking.bits + 31u) / 32u;
+}
+
 // Blocks of the draws: one rounds the number of samples, positions follow.
 const ROUNDING = 0u;
 const POSITIONS = 1u;
@@ -32,7 +37,7 @@ fn draw_so_many(masking: Masking, draws: u32, alpha: f32) {
         drawn[sample / 32u] |= 1u << (sample % 32u);
     }
     if count > bits - count {
-        for (var w = 0u; w < MASK_WORDS; w++) {
+        for (var w = 0u; w < words_of(masking); w++) {
             drawn[w] = ~drawn[w] & lanes(w, bits);
         }
     }
@@ -68,7 +73,7 @@ fn draw_mask(masking: Masking, pixel: vec2u, primitive: u32, alpha: f32) {
         draw_so_many(masking, draws, alpha);
         return;
     }
-    for (var w = 0u; w < MASK_WORDS; w++) {
+    for (var w = 0u; w < words_of(masking); w++) {
         drawn[w] = less_than_alpha(masking, draws, alpha, w);
     }
 }
