@@ -135,6 +135,15 @@ def test_every_order_is_that_of_the_cpu(technique: str, order: str) -> None:
     assert_agree(STACKS["coincident"], technique, variants)
 
 
+def test_the_core_and_its_tail_know_no_order() -> None:
+    scene = SCENES["random"]
+    plain = oitlab.render(scene, "hybrid_transparency", {"layers": 3}, backend="gpu")
+    for order in ("shuffled", "centroid", "reversed"):
+        params = {"layers": 3, "submission_order": order}
+        got = oitlab.render(scene, "hybrid_transparency", params, backend="gpu")
+        assert off_by(got, plain).max() <= tolerance(scene, plain)
+
+
 # Nodes of a polyline are rounded to f32 after every fragment, as the CPU does with this format.
 SINGLE: Params = {"nodes_format": "f32"}
 POLYLINES = combinations(layers=(2, 3, 8, 32), composite=("none", "exact_bg", "normalize"))

@@ -79,7 +79,12 @@ fn gpu(params: &Params, _view: &View) -> Result<Form> {
     Ok(Form {
         shader: include_str!("../../shaders/a_buffer.wgsl"),
         numbers: Vec::new(),
-        path: Path::Listed(Listing { resolve: "composite", sorted: Sorting::Depth, layers: None, sizes: vec![] }),
+        path: Path::Listed(Listing {
+            resolve: "composite",
+            sorted: Sorting::Depth,
+            layers: None,
+            sizes: vec![],
+        }),
         shows_zero_fragments: false,
         colored_transmittance: false,
     })

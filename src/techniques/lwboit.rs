@@ -199,7 +199,12 @@ fn gpu(params: &Params, view: &View) -> Result<Form> {
     Ok(Form {
         shader: include_str!("../../shaders/lwboit.wgsl"),
         numbers: weights.into_iter().chain(more).collect(),
-        path: Path::Listed(Listing { resolve: "resolve", sorted: Sorting::Depth, layers: None, sizes: vec![] }),
+        path: Path::Listed(Listing {
+            resolve: "resolve",
+            sorted: Sorting::Depth,
+            layers: None,
+            sizes: vec![],
+        }),
         shows_zero_fragments: false,
         colored_transmittance: false,
     })

@@ -87,7 +87,12 @@ fn gpu(params: &Params, _view: &View) -> Result<Form> {
     Ok(Form {
         shader: include_str!("../../shaders/multilayer_depth_peeling.wgsl"),
         numbers: vec![Number::Whole(u32::try_from(layers).unwrap_or(u32::MAX))],
-        path: Path::Listed(Listing { resolve: "resolve", sorted: Sorting::Depth, layers: None, sizes: vec![] }),
+        path: Path::Listed(Listing {
+            resolve: "resolve",
+            sorted: Sorting::Depth,
+            layers: None,
+            sizes: vec![],
+        }),
         shows_zero_fragments: false,
         colored_transmittance: false,
     })
