@@ -26,7 +26,7 @@ from gpu_scenes import (
 pytestmark = pytest.mark.skipif(DEVICE is None, reason=WHY_NOT)
 
 IDS = [entry.id for entry in oitlab.techniques() if "gpu" in entry.backends]
-PARAMS: dict[str, dict[str, Any]] = {"lwboit": {"storage": "ll"}}
+PARAMS: dict[str, dict[str, Any]] = {"lwboit": {"storage": "ll"}, "avsm": {"nodes_format": "f32"}}
 
 
 def test_the_device_is_described() -> None:

@@ -7,6 +7,11 @@ var<private> drawn: Mask;
 // the samples that what has been shown covers
 var<private> covered: Mask;
 
+// MASK_WORDS, in a form that compilers do not unroll loops by: theirs over wide masks take minutes.
+fn words_of(masking: Masking) -> u32 {
+    return (masking.bits + 31u) / 32u;
+}
+
 // The bits of a word that belong to a mask.
 fn lanes(word: u32, bits: u32) -> u32 {
     let first = 32u * word;

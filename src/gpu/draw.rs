@@ -25,6 +25,13 @@ pub struct Image {
     pub times: Times,
 }
 
+impl Image {
+    /// Whether there is a pixel that a shader did not finish.
+    pub fn is_unfinished(&self) -> bool {
+        self.texels.as_chunks::<4>().0.iter().any(|texel| texel[3] <= f32::MIN)
+    }
+}
+
 /// A device and what has been made for it.
 #[derive(Debug)]
 pub struct Gpu {

@@ -431,6 +431,36 @@ mod tests {
     }
 
     #[test]
+    fn every_mode_has_its_entry_point() {
+        let modes = [
+            ("mlab_buckets", ("mode", "depth")),
+            ("mlab_buckets", ("mode", "transmittance")),
+            ("mlcb", ("store", "hybrid")),
+        ];
+        for (id, mode) in modes {
+            let form = form(crate::techniques::find(id).unwrap(), &[mode]).unwrap();
+            let Path::Listed(listing) = &form.path else { panic!("{form:?}") };
+            let names = interface(&validated(mode.1, &form.module())).1;
+            assert!(names.contains(&listing.resolve), "{names:?}");
+        }
+    }
+
+    #[test]
+    fn thresholds_decide_as_doubles_do() {
+        let float = |number| match number {
+            Number::Float(x) => x,
+            Number::Whole(_) => panic!("{number:?}"),
+        };
+        for (x, alpha) in [(0.2, 0.2_f32), (0.9, 0.9), (0.5, 0.5), (-1.0, 0.0), (1e300, 1.0), (-1e300, 0.0)] {
+            let (below, above) = (float(Number::below(x)), float(Number::above(x)));
+            assert_eq!((alpha > below, alpha >= above), (f64::from(alpha) > x, f64::from(alpha) >= x), "{x}");
+            assert!(below.is_finite() && above.is_finite());
+        }
+        let [a, b] = Number::floats(0.1).map(float);
+        assert!((f64::from(a) + f64::from(b) - 0.1).abs() < 1e-16);
+    }
+
+    #[test]
     fn what_no_device_does_is_refused_by_name() {
         let refused = |id: &str, given: &[(&str, &str)]| {
             form(crate::techniques::find(id).unwrap(), given).unwrap_err().to_string()
