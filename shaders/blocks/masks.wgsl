@@ -21,11 +21,6 @@ fn lanes(word: u32, bits: u32) -> u32 {
     return select(0xffffffffu, (1u << (bits - first)) - 1u, bits - first < 32u);
 }
 
-// As many as MASK_WORDS; but loops that long must not be unrolled.
-fn words_of(masking: Masking) -> u32 {
-    return (masking.bits + 31u) / 32u;
-}
-
 // Blocks of the draws: one rounds the number of samples, positions follow.
 const ROUNDING = 0u;
 const POSITIONS = 1u;

@@ -409,6 +409,44 @@ mod tests {
     }
 
     #[test]
+    fn every_memory_of_the_continuum_has_its_entry_point() {
+        let continuum = crate::techniques::find("continuum").unwrap();
+        let memories: [&[_]; 5] = [
+            &[("memory", "none"), ("insertion", "never"), ("merge", "none")],
+            &[("merge", "smallest_error"), ("accumulate", "all")],
+            &[("memory", "unbounded"), ("merge", "none")],
+            &[("memory", "samples"), ("merge", "discard_occluded"), ("opacity", "coverage")],
+            &[("memory", "bins"), ("merge", "sum"), ("accumulate", "all")],
+        ];
+        for given in memories {
+            let form = form(continuum, given).unwrap();
+            let Path::Listed(listing) = &form.path else { panic!("{form:?}") };
+            let module = validated("continuum", &form.module());
+            let (size, names) = interface(&module);
+            assert!(names.contains(&listing.resolve), "{names:?}");
+            let bytes = u32::try_from(4 * form.numbers.len()).unwrap();
+            assert_eq!(size.unwrap().next_multiple_of(16), bytes.next_multiple_of(16), "{given:?}");
+        }
+        let slab = form(crate::techniques::find("slab").unwrap(), &[("replay", "as_is")]).unwrap();
+        assert_eq!(slab.shader, form(continuum, &[]).unwrap().shader);
+        assert_eq!(slab.numbers.len(), form(continuum, &[]).unwrap().numbers.len());
+    }
+
+    #[test]
+    fn sums_of_splats_are_blended_unless_sigma_is_a_pixels_own() {
+        let splats = crate::techniques::find("gs_wsr").unwrap();
+        for (variant, resolve) in [("direct", "resolve"), ("exp", "resolve"), ("linear", "resolve_lists")] {
+            let form = form(splats, &[("variant", variant)]).unwrap();
+            let chosen = match &form.path {
+                Path::Blended(blending) => blending.resolve,
+                Path::Listed(listing) => listing.resolve,
+            };
+            assert_eq!(chosen, resolve);
+            assert!(interface(&validated("gs_wsr", &form.module())).1.contains(&resolve));
+        }
+    }
+
+    #[test]
     fn shared_modules_are_valid() {
         let lists = list_module();
         let names = interface(&validated("lists", &lists)).1.join(" ");

@@ -23,6 +23,21 @@ const LISTS: &str = concat!(
     include_str!("../../../shaders/continuum/bins.wgsl")
 );
 
+/// Words of the masks of all layers, at most: they are in registers, too, and compilers take minutes for more.
+const MOST_WORDS: u32 = 256;
+
+/// Refuses layers with masks that are too wide for so many.
+fn check_masks(params: &Params, layers: u32, (_, words): (&'static str, u32)) -> Result<()> {
+    if layers.saturating_mul(words) <= MOST_WORDS {
+        return Ok(());
+    }
+    let problem = format!(
+        "{layers} layers with masks of bits={} have no form on the backend \"gpu\"",
+        params.size("bits")
+    );
+    Err(params.error(problem, format!("there layers times bits is at most {}", 32 * MOST_WORDS)))
+}
+
 /// So many bins, and samples of fixed thresholds, are told apart without rounding.
 const MOST_BINS: u32 = 1 << 16;
 const MOST_SAMPLES: u32 = 1 << 24;
@@ -47,6 +62,9 @@ pub fn form(params: &Params, view: &View) -> Result<Form> {
     };
     let keeps_keys = setup.memory == "layers" || setup.insertion == "nearest";
     let layers = if keeps_keys { layers(params)? } else { 1 };
+    if setup.memory == "layers" {
+        check_masks(params, layers, mask_words)?;
+    }
     let sizes = sizes(&setup, params)?;
     let composition =
         Composition { masking, mask_words, weight, choices: axes(&setup), order, layers, sizes };
@@ -90,11 +108,13 @@ impl Composition {
 /// `Error::Param` for sizes and orders that have none.
 pub fn slab_as_submitted(params: &Params, tail: bool, second_pass: Option<Composite>) -> Result<Form> {
     let keeps_masks = params.text("variant") == "mask";
-    let mask_words = mask_size(params, "bits")?;
+    let mask_words = if keeps_masks { mask_size(params, "bits")? } else { (MASK_WORDS, 1) };
+    let layers = layers(params)?;
+    check_masks(params, layers, mask_words)?;
     let [stochastic, discard_furthest] = [3, 1];
     let composition = Composition {
         masking: masking(params, "bits", params.text("probability") == "stratified"),
-        mask_words: if keeps_masks { mask_words } else { (MASK_WORDS, 1) },
+        mask_words,
         weight: Weighting::new(Function::Published(Formula::One), 1.0, 0.0).numbers().unwrap_or_default(),
         choices: [
             Number::Whole(stochastic),
@@ -105,7 +125,7 @@ pub fn slab_as_submitted(params: &Params, tail: bool, second_pass: Option<Compos
             second_pass.unwrap_or(Composite::None).number(),
         ],
         order: submission(params)?,
-        layers: layers(params)?,
+        layers,
         sizes: [Number::Whole(0); 7],
     };
     Ok(composition.form(LAYERS, "resolve_layers"))
