@@ -66,7 +66,7 @@ fn reaching_face(face: vec2u, in_front: u32) -> f32 {
 
 // Puts a fragment into the polyline: its two faces; what is inside lets through less the deeper it is, what is behind,
 // as little as the whole fragment.
-fn insert_fragment(key: vec2u, alpha: f32) {
+fn add_fragment(key: vec2u, alpha: f32) {
     let depth = bitcast<f32>(key.x);
     let end = end_of(depth);
     let front = face_of(depth, key.y, 0u);
@@ -130,7 +130,7 @@ fn resolve(@builtin(global_invocation_id) id: vec3u) {
         if all(colors[place] == vec4f(0.0)) {
             continue;
         }
-        insert_fragment(keys[place], colors[place].a);
+        add_fragment(keys[place], colors[place].a);
         while vertex_count > LAYERS {
             remove_least();
         }

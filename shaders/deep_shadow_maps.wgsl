@@ -118,11 +118,6 @@ fn keep_within_eps(ends: vec2u) {
     end_segment(before.label, before.depth);
 }
 
-// Primitives are not asked for any more: bit 0 of theirs says that the fragment's front is gone, bit 1 that its back is.
-fn is_gone(place: u32, face: u32) -> bool {
-    return ((keys[place].y >> face) & 1u) != 0u;
-}
-
 // Twice the area of the triangle of three neighbours: what removing the middle one changes.
 fn triangle(a: Vertex, b: Vertex, c: Vertex) -> f32 {
     let to_c = vec2f(c.depth - a.depth, c.transmittance - a.transmittance);
@@ -130,58 +125,67 @@ fn triangle(a: Vertex, b: Vertex, c: Vertex) -> f32 {
     return abs(to_c.x * from_b.y - from_b.x * to_c.y);
 }
 
-// Removes the vertex of the smallest triangle, the nearest of several; the curve's ends stay.
-fn remove_least(ends: vec2u) {
-    var least = vec2u(0u);
-    var least_area = LARGEST;
-    var window: array<Vertex, 2>;
-    var count = 0u;
-    var transmittance = 1.0;
-    for (var place = ends.x; place < ends.y; place++) {
-        if is_nothing(place) {
-            continue;
-        }
-        for (var face = 0u; face < 2u; face++) {
-            if face == 1u {
-                transmittance *= 1.0 - colors[place].a;
-            }
-            if is_gone(place, face) {
-                continue;
-            }
-            let vertex = Vertex(2u * place + face, depth_of_place(place), transmittance);
-            if count >= 2u {
-                let area = triangle(window[0], window[1], vertex);
-                if area < least_area {
-                    least_area = area;
-                    least = vec2u(window[1].label / 2u, window[1].label % 2u);
-                }
-            }
-            window[0] = window[1];
-            window[1] = vertex;
-            count++;
+// Primitives are not asked for any more: bit 0 of theirs says that the fragment's front is gone, bit 1 that its back is.
+
+// the last two vertices of a walk along what is left of the curve, how many it has passed, and the vertex of the smallest triangle
+var<private> before_last: Vertex;
+var<private> last_left: Vertex;
+var<private> passed: u32;
+var<private> least: u32;
+var<private> least_area: f32;
+
+fn pass_vertex(vertex: Vertex) {
+    if passed >= 2u {
+        let area = triangle(before_last, last_left, vertex);
+        if area < least_area {
+            least_area = area;
+            least = last_left.label;
         }
     }
-    keys[least.x].y |= 1u << least.y;
+    before_last = last_left;
+    last_left = vertex;
+    passed++;
+}
+
+// Removes the vertex of the smallest triangle, the nearest of several; the curve's ends stay.
+fn remove_least(ends: vec2u) {
+    passed = 0u;
+    least_area = LARGEST;
+    var transmittance = 1.0;
+    for (var place = ends.x; place < ends.y; place++) {
+        let gone = keys[place].y;
+        let depth = depth_of_place(place);
+        if (gone & 1u) == 0u {
+            pass_vertex(Vertex(2u * place, depth, transmittance));
+        }
+        transmittance *= 1.0 - colors[place].a;
+        if (gone & 2u) == 0u {
+            pass_vertex(Vertex(2u * place + 1u, depth, transmittance));
+        }
+    }
+    keys[least / 2u].y |= 1u << (least % 2u);
 }
 
 fn keep_so_many(ends: vec2u) {
     var count = 0u;
     for (var place = ends.x; place < ends.y; place++) {
-        keys[place].y = 0u;
-        count += select(2u, 0u, is_nothing(place));
+        let nothing = is_nothing(place);
+        keys[place].y = select(0u, 3u, nothing);
+        count += select(2u, 0u, nothing);
     }
     for (; count > params.vertices; count--) {
         remove_least(ends);
     }
     var transmittance = 1.0;
     for (var place = ends.x; place < ends.y; place++) {
-        for (var face = 0u; face < 2u; face++) {
-            if face == 1u {
-                transmittance *= 1.0 - colors[place].a;
-            }
-            if !is_gone(place, face) && !is_nothing(place) {
-                put_vertex(Vertex(2u * place + face, depth_of_place(place), transmittance));
-            }
+        let gone = keys[place].y;
+        let depth = depth_of_place(place);
+        if (gone & 1u) == 0u {
+            put_vertex(Vertex(2u * place, depth, transmittance));
+        }
+        transmittance *= 1.0 - colors[place].a;
+        if (gone & 2u) == 0u {
+            put_vertex(Vertex(2u * place + 1u, depth, transmittance));
         }
     }
 }

@@ -85,7 +85,7 @@ fn log_ratio(a: f32, b: f32) -> f32 {
     if b > 2.0 * a {
         return log(b / a);
     }
-    let x = (b - a) / (b + a);
+    let x = (0.5 * b - 0.5 * a) / (0.5 * b + 0.5 * a);
     let x2 = x * x;
     var sum = 0.0;
     for (var n = 15.0; n > 0.0; n -= 2.0) {

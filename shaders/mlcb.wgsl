@@ -9,29 +9,26 @@ struct Params {
 
 @group(0) @binding(3) var<uniform> params: Params;
 
-struct Layer {
-    key: vec2u,
-    // not premultiplied
-    color: vec3f,
-    // the samples that show it: no sample is in two layers
-    mask: Mask,
-}
-
-var<private> layers: array<Layer, LAYERS + 1u>;
+// the layers, nearest first: their places, their colours, not premultiplied, and the words of their masks of samples, one
+// mask after the other; no sample is in two masks
+var<private> layer_keys: array<vec2u, LAYERS + 1u>;
+var<private> layer_colors: array<vec3f, LAYERS + 1u>;
+var<private> layer_words: array<u32, (LAYERS + 1u) * MASK_WORDS>;
 var<private> layer_count: u32;
 
 fn samples_of(i: u32) -> f32 {
     var count = 0u;
-    for (var w = 0u; w < MASK_WORDS; w++) {
-        count += countOneBits(layers[i].mask[w]);
+    for (var w = 0u; w < words_of(params.masking); w++) {
+        count += countOneBits(layer_words[i * MASK_WORDS + w]);
     }
     return f32(count);
 }
 
-// A layer shows only the samples that another one does not.
-fn hide_layer(i: u32, front: u32) {
-    for (var w = 0u; w < MASK_WORDS; w++) {
-        layers[i].mask[w] &= ~layers[front].mask[w];
+fn move_layer(to: u32, origin: u32) {
+    layer_keys[to] = layer_keys[origin];
+    layer_colors[to] = layer_colors[origin];
+    for (var w = 0u; w < words_of(params.masking); w++) {
+        layer_words[to * MASK_WORDS + w] = layer_words[origin * MASK_WORDS + w];
     }
 }
 
@@ -39,17 +36,22 @@ fn hide_layer(i: u32, front: u32) {
 // (eq. 11 and its other half).
 fn insert_layer(key: vec2u, color: vec3f) {
     var place = layer_count;
-    while place > 0u && comes_before_by_depth(key, layers[place - 1u].key) {
-        layers[place] = layers[place - 1u];
+    while place > 0u && comes_before_by_depth(key, layer_keys[place - 1u]) {
+        move_layer(place, place - 1u);
         place--;
     }
-    layers[place] = Layer(key, color, drawn);
+    layer_keys[place] = key;
+    layer_colors[place] = color;
     layer_count++;
-    for (var i = 0u; i < place; i++) {
-        hide_layer(place, i);
-    }
-    for (var i = place + 1u; i < layer_count; i++) {
-        hide_layer(i, place);
+    for (var w = 0u; w < words_of(params.masking); w++) {
+        var word = drawn[w];
+        for (var i = 0u; i < place; i++) {
+            word &= ~layer_words[i * MASK_WORDS + w];
+        }
+        layer_words[place * MASK_WORDS + w] = word;
+        for (var i = place + 1u; i < layer_count; i++) {
+            layer_words[i * MASK_WORDS + w] &= ~word;
+        }
     }
 }
 
@@ -63,10 +65,10 @@ fn merge_furthest_layers() {
     if sum == 0.0 {
         return;
     }
-    let color = samples.x / sum * layers[near].color + samples.y / sum * layers[far].color;
-    layers[near].color = min(color, vec3f(LARGEST));
-    for (var w = 0u; w < MASK_WORDS; w++) {
-        layers[near].mask[w] |= layers[far].mask[w];
+    let color = samples.x / sum * layer_colors[near] + samples.y / sum * layer_colors[far];
+    layer_colors[near] = min(color, vec3f(LARGEST));
+    for (var w = 0u; w < words_of(params.masking); w++) {
+        layer_words[near * MASK_WORDS + w] |= layer_words[far * MASK_WORDS + w];
     }
 }
 
@@ -96,7 +98,7 @@ fn resolve_masks(@builtin(global_invocation_id) id: vec3u) {
     var open = all;
     for (var i = 0u; i < layer_count; i++) {
         let samples = samples_of(i);
-        color += samples / all * layers[i].color;
+        color += samples / all * layer_colors[i];
         open -= samples;
     }
     store(id, color + open / all * background_at(pixel), open / all);

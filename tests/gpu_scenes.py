@@ -94,7 +94,7 @@ def scenes() -> Iterator[tuple[str, oitlab.Scene]]:
     yield "empty", scene_of()
 
 
-PARAMS: dict[str, dict[str, Any]] = {"lwboit": {"storage": "ll"}}
+PARAMS: dict[str, dict[str, Any]] = {"avsm": {"nodes_format": "f32"}}
 """What techniques need besides their defaults to have a form."""
 
 SCENES = dict(scenes()) if DEVICE else {}

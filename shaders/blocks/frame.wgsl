@@ -42,6 +42,18 @@ fn pixel_at(position: vec4f) -> vec2u {
     return vec2u(u32(position.x), u32(position.y) + frame.first_row);
 }
 
+// whether a pass before this one was cut short in this pixel
+var<private> was_cut_short: bool;
+
+// Some drivers end all loops of an invocation once they have taken so many steps together. Then this one ends early, too.
+fn is_cut_short() -> bool {
+    var steps = 0u;
+    for (var i = frame.zero; i < 2u; i++) {
+        steps++;
+    }
+    return steps != 2u || was_cut_short;
+}
+
 // Where a pixel's numbers are among those of the whole image.
 fn place_of(pixel: vec2u) -> u32 {
     return pixel.y * frame.size.x + pixel.x;

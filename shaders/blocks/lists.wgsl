@@ -74,10 +74,15 @@ fn shift_rows(@builtin(global_invocation_id) id: vec3u) {
     atomicAdd(&places[row * frame.size.x + id.x], row_places[row]);
 }
 
+// What is added to the count of a list that was not sorted to its end.
+const UNSORTED = 0x80000000u;
+
 // The list of a pixel: where it begins, and its length.
 fn list_of(pixel: vec2u) -> vec2u {
     let place = place_of(pixel);
-    let count = atomicLoad(&counts[place]);
+    let counted = atomicLoad(&counts[place]);
+    let count = counted & ~UNSORTED;
+    was_cut_short = counted != count;
     return vec2u(atomicLoad(&places[place]) - count, count);
 }
 
@@ -163,6 +168,9 @@ fn sort_lists(@builtin(global_invocation_id) id: vec3u) {
         insertion_sort(list.x, list.y);
     } else {
         heap_sort(list.x, list.y);
+    }
+    if is_cut_short() {
+        atomicOr(&counts[place_of(vec2u(id.x, frame.first_row + id.y))], UNSORTED);
     }
 }
 

@@ -7,6 +7,11 @@ var<private> drawn: Mask;
 // the samples that what has been shown covers
 var<private> covered: Mask;
 
+// MASK_WORDS, in a form that compilers do not unroll loops by: theirs over wide masks take minutes.
+fn words_of(masking: Masking) -> u32 {
+    return (masking.bits + 31u) / 32u;
+}
+
 // The bits of a word that belong to a mask.
 fn lanes(word: u32, bits: u32) -> u32 {
     let first = 32u * word;
@@ -32,7 +37,7 @@ fn draw_so_many(masking: Masking, draws: u32, alpha: f32) {
         drawn[sample / 32u] |= 1u << (sample % 32u);
     }
     if count > bits - count {
-        for (var w = 0u; w < MASK_WORDS; w++) {
+        for (var w = 0u; w < words_of(masking); w++) {
             drawn[w] = ~drawn[w] & lanes(w, bits);
         }
     }
@@ -68,7 +73,7 @@ fn draw_mask(masking: Masking, pixel: vec2u, primitive: u32, alpha: f32) {
         draw_so_many(masking, draws, alpha);
         return;
     }
-    for (var w = 0u; w < MASK_WORDS; w++) {
+    for (var w = 0u; w < words_of(masking); w++) {
         drawn[w] = less_than_alpha(masking, draws, alpha, w);
     }
 }

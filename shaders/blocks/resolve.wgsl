@@ -16,13 +16,17 @@ fn finite(x: vec3f) -> vec3f {
     return clamp(x, vec3f(-LARGEST), vec3f(LARGEST));
 }
 
+// What no pixel is, in place of one that was not finished; whoever reads the image back looks for it.
+const UNFINISHED = vec4f(-LARGEST);
+
 fn store(id: vec3u, color: vec3f, transmittance: f32) {
-    resolved[id.y * frame.size.x + id.x] = vec4f(finite(color), transmittance);
+    let texel = vec4f(finite(color), transmittance);
+    resolved[id.y * frame.size.x + id.x] = select(texel, UNFINISHED, is_cut_short());
 }
 
 // The same where the background's share is one per channel.
 fn store_colored(id: vec3u, color: vec3f, transmittance: vec3f) {
     let place = 2u * (id.y * frame.size.x + id.x);
     resolved[place] = vec4f(finite(color), 0.0);
-    resolved[place + 1u] = vec4f(transmittance, 0.0);
+    resolved[place + 1u] = select(vec4f(transmittance, 0.0), UNFINISHED, is_cut_short());
 }

@@ -42,6 +42,15 @@ fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 }
 
 impl Connection {
+    /// The error that stands for pixels which shaders did not finish.
+    pub fn cut_short(&self) -> Error {
+        Error::Gpu(format!(
+            "{} ends loops before they are done, and did so in a pixel with too many fragments for that; fewer of them, of layers or of \
+             samples may do, and backend=\"cpu\" has no such bound",
+            self.info.name
+        ))
+    }
+
     /// Connects to the fastest adapter, or to the one that the environment asks for (`WGPU_BACKEND`, `WGPU_ADAPTER_NAME`).
     ///
     /// # Errors

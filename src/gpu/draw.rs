@@ -26,6 +26,13 @@ pub struct Image {
     pub invalid_weights: u64,
 }
 
+impl Image {
+    /// Whether there is a pixel that a shader did not finish.
+    pub fn is_unfinished(&self) -> bool {
+        self.texels.as_chunks::<4>().0.iter().any(|texel| texel[3] <= f32::MIN)
+    }
+}
+
 /// A device and what has been made for it.
 #[derive(Debug)]
 pub struct Gpu {

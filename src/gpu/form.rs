@@ -511,6 +511,44 @@ mod tests {
     }
 
     #[test]
+    fn every_memory_of_the_continuum_has_its_entry_point() {
+        let continuum = crate::techniques::find("continuum").unwrap();
+        let memories: [&[_]; 5] = [
+            &[("memory", "none"), ("insertion", "never"), ("merge", "none")],
+            &[("merge", "smallest_error"), ("accumulate", "all")],
+            &[("memory", "unbounded"), ("merge", "none")],
+            &[("memory", "samples"), ("merge", "discard_occluded"), ("opacity", "coverage")],
+            &[("memory", "bins"), ("merge", "sum"), ("accumulate", "all")],
+        ];
+        for given in memories {
+            let form = form(continuum, given).unwrap();
+            let Path::Listed(listing) = &form.path else { panic!("{form:?}") };
+            let module = validated("continuum", &form.module());
+            let (size, names) = interface(&module);
+            assert!(names.contains(&listing.resolve), "{names:?}");
+            let bytes = u32::try_from(4 * form.numbers.len()).unwrap();
+            assert_eq!(size.unwrap().next_multiple_of(16), bytes.next_multiple_of(16), "{given:?}");
+        }
+        let slab = form(crate::techniques::find("slab").unwrap(), &[("replay", "as_is")]).unwrap();
+        assert_eq!(slab.shader, form(continuum, &[]).unwrap().shader);
+        assert_eq!(slab.numbers.len(), form(continuum, &[]).unwrap().numbers.len());
+    }
+
+    #[test]
+    fn sums_of_splats_are_blended_unless_sigma_is_a_pixels_own() {
+        let splats = crate::techniques::find("gs_wsr").unwrap();
+        for (variant, resolve) in [("direct", "resolve"), ("exp", "resolve"), ("linear", "resolve_lists")] {
+            let form = form(splats, &[("variant", variant)]).unwrap();
+            let chosen = match &form.path {
+                Path::Blended(blending) => blending.resolve,
+                Path::Listed(listing) => listing.resolve,
+            };
+            assert_eq!(chosen, resolve);
+            assert!(interface(&validated("gs_wsr", &form.module())).1.contains(&resolve));
+        }
+    }
+
+    #[test]
     fn shared_modules_are_valid() {
         let lists = list_module();
         let names = interface(&validated("lists", &lists)).1.join(" ");
@@ -531,6 +569,36 @@ mod tests {
             assert!(names.contains(&blending.draws[0].shader), "{names:?}");
             assert!(names.contains(&blending.resolve), "{names:?}");
         }
+    }
+
+    #[test]
+    fn every_mode_has_its_entry_point() {
+        let modes = [
+            ("mlab_buckets", ("mode", "depth")),
+            ("mlab_buckets", ("mode", "transmittance")),
+            ("mlcb", ("store", "hybrid")),
+        ];
+        for (id, mode) in modes {
+            let form = form(crate::techniques::find(id).unwrap(), &[mode]).unwrap();
+            let Path::Listed(listing) = &form.path else { panic!("{form:?}") };
+            let names = interface(&validated(mode.1, &form.module())).1;
+            assert!(names.contains(&listing.resolve), "{names:?}");
+        }
+    }
+
+    #[test]
+    fn thresholds_decide_as_doubles_do() {
+        let float = |number| match number {
+            Number::Float(x) => x,
+            Number::Whole(_) => panic!("{number:?}"),
+        };
+        for (x, alpha) in [(0.2, 0.2_f32), (0.9, 0.9), (0.5, 0.5), (-1.0, 0.0), (1e300, 1.0), (-1e300, 0.0)] {
+            let (below, above) = (float(Number::below(x)), float(Number::above(x)));
+            assert_eq!((alpha > below, alpha >= above), (f64::from(alpha) > x, f64::from(alpha) >= x), "{x}");
+            assert!(below.is_finite() && above.is_finite());
+        }
+        let [a, b] = Number::floats(0.1).map(float);
+        assert!((f64::from(a) + f64::from(b) - 0.1).abs() < 1e-16);
     }
 
     #[test]

@@ -116,6 +116,9 @@ impl Gpu {
             captured.colors.extend(read::<[f32; 4]>(&landed[1], COLOR * fragments)?);
             captured.counts.extend(read::<u32>(&landed[2], counts)?);
         }
+        if captured.counts.iter().any(|count| count >> 31 == 1) {
+            return Err(self.connection.cut_short());
+        }
         Ok(captured)
     }
 

@@ -136,6 +136,9 @@ impl Shared {
         self.kept.push(kept);
         let Some(Kept { picture, .. }) = self.kept.last() else { return Ok(None) };
         let image = self.gpu.image(picture, form, stop)?;
+        if image.is_unfinished() {
+            return Err(self.gpu.connection.cut_short());
+        }
         Ok(Some((image, picture.totals())))
     }
 

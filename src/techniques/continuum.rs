@@ -34,11 +34,13 @@ use crate::techniques::ANY_ORDER;
 use crate::weight::{self, Weighting};
 use binned::{AveragedBins, AveragedSteps, Binning, Gate, SummedBins};
 use finish::Finish;
+pub(super) use form::slab_as_submitted;
 use setup::Setup;
 use storage::{Storage, TARGETS};
 
 mod binned;
 mod finish;
+mod form;
 mod setup;
 mod storage;
 
@@ -66,7 +68,7 @@ pub static INFO: Info = Info {
     bytes_per_pixel: "20 layers (masks: bits / 8 more each; over_nearest: 16 more), 28 n + 4 unbounded, 20 samples \
                       (all: 4, layers: 8), 20 bins (sum: 2); 20 more for a tail, global or all; about half of it in f16",
     build,
-    gpu: None,
+    gpu: Some(form::form),
 };
 
 const PARAMS: &[ParamSpec] = &[

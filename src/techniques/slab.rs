@@ -20,13 +20,14 @@ use crate::diagnosis::{Diagnosis, Faults};
 use crate::error::Result;
 use crate::format::{Formats, Target};
 use crate::gpu::form::{
-    Form, Listing, Number, Path, Sorting, mask_size, masking, only, only_single_formats, saturated,
+    Form, Listing, Number, Path, Sorting, mask_size, masking, only_single_formats, saturated,
 };
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{
     AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties, Resolved, Technique,
 };
 use crate::techniques::ANY_ORDER;
+use crate::techniques::continuum::slab_as_submitted;
 
 /// The registry entry.
 pub static INFO: Info = Info {
@@ -131,12 +132,19 @@ fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
     })
 }
 
-/// Its form on a GPU: over sorted lists, with nodes in f32 and the CPU's masks.
+/// Its form on a GPU: over sorted lists, or as a composition of the continuum; with nodes in f32 and the CPU's masks.
 fn gpu(params: &Params, view: &View) -> Result<Form> {
     only_single_formats(params, INFO.targets)?;
-    only(params, "replay", "sorted")?;
+    let setup = Setup::from_params(params, view);
+    if !setup.sorted && !setup.properties().order_independent {
+        let second_pass = match setup.accumulate {
+            Accumulate::All(composite) => Some(composite),
+            _ => None,
+        };
+        return slab_as_submitted(params, setup.accumulate == Accumulate::Tail, second_pass);
+    }
     let sizes = vec![mask_size(params, "bits")?];
-    let (accumulate, composite) = match Setup::from_params(params, view).accumulate {
+    let (accumulate, composite) = match setup.accumulate {
         Accumulate::Stored => (0, Composite::None),
         Accumulate::All(composite) => (1, composite),
         Accumulate::Tail => (2, Composite::None),
