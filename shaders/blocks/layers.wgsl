@@ -24,6 +24,12 @@ fn insert_node(key: vec2u, fragment: vec4f) {
     node_count++;
 }
 
+fn insert_fragment(fragment: Fragment) {
+    // adding zero makes -0 the 0 that it equals
+    let key = vec2u(bitcast<u32>(fragment.depth + 0.0), fragment.primitive);
+    insert_node(key, vec4f(fragment.color, fragment.alpha));
+}
+
 // One node over another.
 fn over(near: Node, far: Node) -> Node {
     return Node(near.key, near.color + near.transmittance * far.color, near.transmittance * far.transmittance);

@@ -1,6 +1,7 @@
 //! Passes: blending fragments in render targets, and making an image of what that leaves.
 
 use super::device::Connection;
+use super::form::tiled::RasterPath;
 use super::form::{Blending, Form, Path, background_module};
 use super::layouts::{Draws, Entry, Layouts, blended, plain};
 use super::picture::{Picture, buffer, bytes_of, texture};
@@ -84,10 +85,29 @@ impl Gpu {
     /// # Errors
     /// [`Error::Argument`] for what the device cannot do, [`Error::Memory`] for what it has no room for, [`Error::Gpu`] and
     /// [`Error::Cancelled`].
-    pub fn image(&mut self, picture: &Picture, form: &Form, stop: Stop<'_>) -> Result<Image> {
+    pub fn image(
+        &mut self,
+        picture: &Picture,
+        form: &Form,
+        raster: RasterPath,
+        stop: Stop<'_>,
+    ) -> Result<Image> {
+        if raster == RasterPath::Compute {
+            return self.tiled(picture, form, stop);
+        }
         match &form.path {
             Path::Blended(blending) => self.blended(picture, form, blending, stop),
-            Path::Listed(listing) => self.listed(picture, form, listing, stop),
+            Path::Listed(listing) => {
+                self.listed(picture, form, (listing.resolve, listing.sorted), &[], stop)
+            }
+            Path::Streamed(stream) => {
+                let flag = |on: bool| f64::from(u8::from(on));
+                let (zero_fragments, backwards) = (form.shows_zero_fragments, stream.backwards);
+                let constants =
+                    [("backwards", flag(backwards)), ("shows_zero_fragments", flag(zero_fragments))];
+                self.listed(picture, form, ("resolve_stream", stream.sorted), &constants, stop)
+            }
+            Path::Peeled(peeling) => self.peeled(picture, form, peeling, stop),
         }
     }
 
@@ -160,7 +180,7 @@ impl Gpu {
     }
 
     /// As many rows at a time as fit into one buffer.
-    fn bands_of_rows(&self, picture: &Picture, form: &Form) -> Vec<Range<u32>> {
+    pub(super) fn bands_of_rows(&self, picture: &Picture, form: &Form) -> Vec<Range<u32>> {
         let most = self.rows_per_band(picture, form);
         let starts = (0..picture.height).step_by(most as usize);
         starts.map(|first| first..(first + most).min(picture.height)).collect()
@@ -199,7 +219,7 @@ pub(super) fn resolve(
     Ok(())
 }
 
-fn texel_bytes(form: &Form) -> u64 {
+pub(super) fn texel_bytes(form: &Form) -> u64 {
     if form.colored_transmittance { 2 * TEXEL } else { TEXEL }
 }
 

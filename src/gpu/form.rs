@@ -5,6 +5,8 @@ use crate::error::Result;
 use crate::format::{Format, Formats, Target};
 use crate::params::{Params, View};
 
+pub mod tiled;
+
 /// A technique's entry in the registry: makes its form under params, or refuses params that have none.
 pub type MakeForm = fn(&Params, &View) -> Result<Form>;
 
@@ -55,6 +57,66 @@ pub enum Path {
     Blended(Blending),
     /// As lists, of which a compute shader makes the image.
     Listed(Listing),
+    /// One by one, into what the technique keeps of a pixel: its shader's `begin`, `take` and `finish`.
+    Streamed(Streaming),
+    /// Layer by layer, in as many passes over the geometry as there are.
+    Peeled(Peeling),
+}
+
+/// What a technique that takes fragments one by one wants of them, besides that there be any. Lists hand them over where
+/// there are lists.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Streaming {
+    /// How many layers a pixel keeps, for shaders that keep `LAYERS`.
+    pub layers: u32,
+    /// Whether it depends on the order in which they come.
+    pub is_ordered: bool,
+    /// How lists are sorted, ...
+    pub sorted: Sorting,
+    /// ... and whether they are read from their end.
+    pub backwards: bool,
+}
+
+impl Streaming {
+    /// One that keeps layers.
+    pub fn of_layers(layers: u32, is_ordered: bool) -> Self {
+        Self { layers, is_ordered, sorted: Sorting::Depth, backwards: false }
+    }
+}
+
+/// Passes over the geometry, each of which sees what the last one has left: the frontier.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Peeling {
+    /// What a pass peels.
+    pub ends: Ends,
+    /// The fragment shader's entry point.
+    pub peel: &'static str,
+    /// That of the pass over the image which composites what was peeled, and says whether there was anything.
+    pub composite: &'static str,
+    /// The compute shader's.
+    pub resolve: &'static str,
+    /// What layers in front are composited in, and those behind.
+    pub sums: Vec<BlendTarget>,
+    /// Passes, if they are limited.
+    pub passes: Option<usize>,
+}
+
+/// The layers of a pixel that a pass peels.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Ends {
+    /// The nearest one by (depth, primitive), which a depth buffer finds; the frontier is its key.
+    Nearest,
+    /// All at the nearest and at the furthest depth that are left, which MAX blending of (-depth, depth) has found in the
+    /// last pass.
+    Both,
+}
+
+/// What takes the bits of depths up to the far plane to those of window depths below 1: a power of two, as a difference of
+/// exponents. Whatever is less than 2^-126 of the far plane is at depth 0.
+pub fn window_exponent(view: &View) -> Number {
+    let Number::Float(far) = Number::float(view.far) else { unreachable!("it is a float") };
+    let exponent = far.to_bits() >> 23;
+    Number::Whole(exponent.wrapping_sub(126) << 23)
 }
 
 /// Every fragment in its pixel's list, and one pass over the image.
@@ -97,7 +159,7 @@ pub fn submission(params: &Params) -> Result<(Sorting, Number)> {
 }
 
 /// Layers that a shader keeps per pixel, at most: they are in registers, where there is little room.
-const MOST_LAYERS: usize = 32;
+pub const MOST_LAYERS: u32 = 32;
 
 /// The number of layers that a shader keeps.
 ///
@@ -106,7 +168,7 @@ const MOST_LAYERS: usize = 32;
 pub fn layers(params: &Params) -> Result<u32> {
     let layers = params.size("layers");
     match u32::try_from(layers) {
-        Ok(fit) if layers <= MOST_LAYERS => Ok(fit),
+        Ok(fit) if fit <= MOST_LAYERS => Ok(fit),
         _ => {
             let problem = format!("layers={layers} has no form on the backend \"gpu\"");
             Err(params.error(problem, format!("there layers is at most {MOST_LAYERS}")))
@@ -155,6 +217,12 @@ pub enum Blend {
     Attenuate,
     /// source there, channel by channel.
     Multiply,
+    /// alpha there × source + there.
+    Under,
+    /// source + source alpha × there, where alphas are what shows through.
+    Cover,
+    /// The larger one.
+    Max,
 }
 
 /// A shared part of the shaders.
@@ -165,6 +233,9 @@ const WEIGHT: &str = include_str!("../../shaders/blocks/weight.wgsl");
 const RESOLVE: &str = include_str!("../../shaders/blocks/resolve.wgsl");
 const LISTS: &str = include_str!("../../shaders/blocks/lists.wgsl");
 const LAYERS: &str = include_str!("../../shaders/blocks/layers.wgsl");
+const STREAM: &str = include_str!("../../shaders/blocks/stream.wgsl");
+const BINS: &str = include_str!("../../shaders/blocks/bins.wgsl");
+const TILES: &str = include_str!("../../shaders/blocks/tiles.wgsl");
 const BACKGROUND: &str = include_str!("../../shaders/blocks/background.wgsl");
 
 /// The module that counts, stores and sorts fragments, and the one that puts the background into a target: no
@@ -183,12 +254,21 @@ impl Form {
     pub fn module(&self) -> String {
         let mut parts = vec![FRAME, DOUBLE, FRAGMENT, WEIGHT, RESOLVE];
         let layers;
-        if let Path::Listed(listing) = &self.path {
-            parts.push(LISTS);
-            if let Some(count) = listing.layers {
-                layers = format!("const LAYERS = {count}u;");
-                parts.extend([layers.as_str(), LAYERS]);
+        match &self.path {
+            Path::Blended(_) => {}
+            Path::Listed(listing) => {
+                parts.push(LISTS);
+                if let Some(count) = listing.layers {
+                    layers = format!("const LAYERS = {count}u;");
+                    parts.extend([layers.as_str(), LAYERS]);
+                }
             }
+            Path::Streamed(stream) => {
+                layers = format!("const LAYERS = {}u;", stream.layers);
+                parts.extend([LISTS, layers.as_str(), LAYERS, STREAM]);
+            }
+            // params may ask for lists instead
+            Path::Peeled(_) => parts.extend([BACKGROUND, LISTS]),
         }
         parts.push(self.shader);
         parts.join("\n")
@@ -204,6 +284,16 @@ impl BlendTarget {
     /// A product of 1 − source, or of sources, that begins with one.
     pub fn product(param: &'static str, format: Format, channels: u32, blend: Blend) -> Self {
         Self { param, format, channels, clear: [1.0; 4], color: blend, alpha: blend }
+    }
+
+    /// Layers that are put under what is there, with what shows through in the alpha channel.
+    pub fn front(param: &'static str, format: Format) -> Self {
+        Self { color: Blend::Under, ..Self::sums(param, format, 4).with_share() }
+    }
+
+    /// Layers, with what shows through in the alpha channel, that are put over what is there.
+    pub fn back(param: &'static str, format: Format) -> Self {
+        Self { color: Blend::Cover, alpha: Blend::Multiply, ..Self::sums(param, format, 4).with_share() }
     }
 
     /// The same with a product of 1 − alpha in the alpha channel.
@@ -309,6 +399,10 @@ mod tests {
             let needed = match &form.path {
                 Path::Blended(blending) => vec!["place", blending.draw, blending.resolve],
                 Path::Listed(listing) => vec!["place", "count_fragment", "sort_lists", listing.resolve],
+                Path::Streamed(_) => vec!["place", "count_fragment", "sort_lists", "resolve_stream"],
+                Path::Peeled(peeling) => {
+                    vec!["place", "cover_all", peeling.peel, peeling.composite, peeling.resolve]
+                }
             };
             assert!(needed.iter().all(|name| names.contains(name)), "{}: {names:?}", info.id);
             let bytes = u32::try_from(4 * form.numbers.len()).unwrap();
@@ -325,6 +419,26 @@ mod tests {
             assert!(names.contains(name), "{names}");
         }
         validated("background", &background_module());
+    }
+
+    #[test]
+    fn what_is_a_stream_of_fragments_has_a_raster_in_compute() {
+        let with_form = REGISTRY.iter().filter(|info| info.gpu.is_some());
+        let bins = tiled::bins_module();
+        let names = interface(&validated("bins", &bins)).1.join(" ");
+        assert_eq!(names, "place count_bins place_bins fill_bins fill_tiles");
+        let mut tiled = Vec::new();
+        for info in with_form.filter(|info| info.id != "lwboit") {
+            let Ok(module) = form(info, &[]).unwrap().tiled_module() else { continue };
+            let module = validated(info.id, &module);
+            let names = interface(&module).1;
+            assert!(names.contains(&"draw_tiles"), "{}: {names:?}", info.id);
+            tiled.push(info.id);
+        }
+        for id in ["alpha_compositing", "painter", "weighted_sum", "wboit", "mlab", "multilayer_depth_peeling"] {
+            assert!(tiled.contains(&id), "{tiled:?}");
+        }
+        assert!(!tiled.contains(&"a_buffer"));
     }
 
     #[test]

@@ -9,7 +9,7 @@ use std::sync::Arc;
 use wgpu::{
     BindGroupLayout, BindGroupLayoutDescriptor, BindGroupLayoutEntry, BindingType, BlendComponent,
     BlendFactor, BlendOperation, BlendState, BufferBindingType, ColorTargetState, ColorWrites,
-    ComputePipeline, Device, Features, RenderPipeline, ShaderModule, ShaderStages, TextureFormat,
+    ComputePipeline, DepthStencilState, Device, Features, RenderPipeline, ShaderModule, ShaderStages, StorageTextureAccess, TextureFormat,
     TextureFormatFeatureFlags, TextureSampleType, TextureUsages, TextureViewDimension,
 };
 
@@ -27,6 +27,12 @@ pub struct Layouts {
     pub targets: BindGroupLayout,
     /// Group 2 of whoever keeps lists.
     pub lists: BindGroupLayout,
+    /// Group 2 of peeling: the frontier as keys or as depths, a texture, and whether anything was peeled.
+    pub peeled_keys: BindGroupLayout,
+    /// See [`Layouts::peeled_keys`].
+    pub peeled_depths: BindGroupLayout,
+    /// Group 2 of the raster in compute that writes no textures.
+    pub tiles: BindGroupLayout,
     /// Group 3: the image.
     pub output: BindGroupLayout,
     modules: HashMap<String, ShaderModule>,
@@ -55,6 +61,24 @@ const TEXTURE: BindingType = BindingType::Texture {
     multisampled: false,
 };
 
+const WORDS: BindingType = BindingType::Texture {
+    sample_type: TextureSampleType::Uint,
+    view_dimension: TextureViewDimension::D2,
+    multisampled: false,
+};
+
+/// Group 2 of the raster in compute: what it bins, and the textures that it writes.
+pub fn tile_entries(textures: &[TextureFormat]) -> Vec<BindGroupLayoutEntry> {
+    let in_compute = |binding, ty| BindGroupLayoutEntry { visibility: ShaderStages::COMPUTE, ..entry(binding, ty) };
+    let uniform = in_compute(0, buffer(BufferBindingType::Uniform));
+    let buffers = (1..7).map(|binding| in_compute(binding, buffer(WRITE)));
+    let written = (7..).zip(textures).map(|(binding, format)| {
+        let (access, view_dimension) = (StorageTextureAccess::WriteOnly, TextureViewDimension::D2);
+        in_compute(binding, BindingType::StorageTexture { access, format: *format, view_dimension })
+    });
+    std::iter::once(uniform).chain(buffers).chain(written).collect()
+}
+
 /// What a render pipeline is for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Draws {
@@ -81,6 +105,8 @@ impl Layouts {
             visibility: ShaderStages::FRAGMENT | ShaderStages::COMPUTE,
             ..entry(binding, buffer(WRITE))
         };
+        let in_fragments =
+            |binding| BindGroupLayoutEntry { visibility: ShaderStages::FRAGMENT, ..written(binding) };
         let uniform = buffer(BufferBindingType::Uniform);
         Self {
             frame: layout(
@@ -88,8 +114,11 @@ impl Layouts {
                 &[entry(0, uniform), entry(1, TEXTURE), entry(2, TEXTURE), entry(3, uniform)],
             ),
             geometry: layout("geometry", &[0, 1, 2].map(|binding| entry(binding, buffer(READ)))),
+            tiles: layout("tiles", &tile_entries(&[])),
             targets: layout("targets", &[0, 1].map(|binding| entry(binding, TEXTURE))),
             lists: layout("lists", &[0, 1, 2, 3, 4, 5].map(written)),
+            peeled_keys: layout("peeled keys", &[entry(0, WORDS), entry(1, TEXTURE), in_fragments(2)]),
+            peeled_depths: layout("peeled depths", &[entry(0, TEXTURE), entry(1, TEXTURE), in_fragments(2)]),
             output: layout("output", &[written(0)]),
             modules: HashMap::new(),
             renders: HashMap::new(),
@@ -113,17 +142,32 @@ impl Layouts {
         draws: Draws,
         targets: &[ColorTargetState],
     ) -> Arc<RenderPipeline> {
-        let key = format!("{} {draws:?} {targets:?}\n{}", shader.point, shader.module);
+        let writes_lists = targets.iter().all(|target| target.write_mask.is_empty());
+        let third = writes_lists.then(|| self.lists.clone());
+        self.render_with(device, shader, draws, targets, third.as_ref(), None)
+    }
+
+    /// The same with another group 2, and with a depth buffer.
+    pub fn render_with(
+        &mut self,
+        device: &Device,
+        shader: Entry<'_>,
+        draws: Draws,
+        targets: &[ColorTargetState],
+        third: Option<&BindGroupLayout>,
+        depth: Option<DepthStencilState>,
+    ) -> Arc<RenderPipeline> {
+        let key = format!("{} {draws:?} {targets:?} {depth:?}\n{}", shader.point, shader.module);
         if let Some(pipeline) = self.renders.get(&key) {
             return Arc::clone(pipeline);
         }
         let module = self.module(device, shader.module);
-        let writes_lists = targets.iter().all(|target| target.write_mask.is_empty());
-        let groups = [Some(&self.frame), Some(&self.geometry), writes_lists.then_some(&self.lists)];
         let groups = match draws {
-            Draws::Background => &groups[..1],
-            Draws::Primitives { .. } => &groups[..2 + usize::from(writes_lists)],
+            Draws::Background => [Some(&self.frame), None, third],
+            Draws::Primitives { .. } => [Some(&self.frame), Some(&self.geometry), third],
         };
+        let used = groups.iter().rposition(Option::is_some).map_or(0, |last| last + 1);
+        let groups = &groups[..used];
         let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
             label: None,
             bind_group_layouts: groups,
@@ -153,7 +197,7 @@ impl Layouts {
                 buffers: &[],
             },
             primitive: wgpu::PrimitiveState::default(),
-            depth_stencil: None,
+            depth_stencil: depth,
             multisample: wgpu::MultisampleState::default(),
             fragment: Some(wgpu::FragmentState {
                 module: &module,
@@ -176,13 +220,27 @@ impl Layouts {
         writes_image: bool,
         constants: &[(&str, f64)],
     ) -> Arc<ComputePipeline> {
+        let third = if of_lists { &self.lists } else { &self.targets }.clone();
+        self.compute_with(device, shader, false, &third, writes_image, constants)
+    }
+
+    /// The same with another group 2, and with primitives.
+    pub fn compute_with(
+        &mut self,
+        device: &Device,
+        shader: Entry<'_>,
+        reads_primitives: bool,
+        third: &BindGroupLayout,
+        writes_image: bool,
+        constants: &[(&str, f64)],
+    ) -> Arc<ComputePipeline> {
         let key = format!("{} {constants:?}\n{}", shader.point, shader.module);
         if let Some(pipeline) = self.computes.get(&key) {
             return Arc::clone(pipeline);
         }
         let module = self.module(device, shader.module);
-        let second = if of_lists { &self.lists } else { &self.targets };
-        let groups = [Some(&self.frame), None, Some(second), Some(&self.output)];
+        let primitives = reads_primitives.then_some(&self.geometry);
+        let groups = [Some(&self.frame), primitives, Some(third), Some(&self.output)];
         let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
             label: None,
             bind_group_layouts: &groups[..3 + usize::from(writes_image)],
@@ -203,6 +261,7 @@ impl Layouts {
 fn texture_format(format: Format, channels: u32) -> Option<TextureFormat> {
     Some(match (format, channels) {
         (Format::F32, 1) => TextureFormat::R32Float,
+        (Format::F32, 2) => TextureFormat::Rg32Float,
         (Format::F32, _) => TextureFormat::Rgba32Float,
         (Format::F16, 1) => TextureFormat::R16Float,
         (Format::F16, _) => TextureFormat::Rgba16Float,
@@ -279,8 +338,12 @@ fn component(blend: Blend) -> BlendComponent {
         Blend::Over => (BlendFactor::One, BlendFactor::OneMinusSrcAlpha),
         Blend::Attenuate => (BlendFactor::Zero, BlendFactor::OneMinusSrc),
         Blend::Multiply => (BlendFactor::Zero, BlendFactor::Src),
+        Blend::Under => (BlendFactor::DstAlpha, BlendFactor::One),
+        Blend::Cover => (BlendFactor::One, BlendFactor::SrcAlpha),
+        Blend::Max => (BlendFactor::One, BlendFactor::One),
     };
-    BlendComponent { src_factor, dst_factor, operation: BlendOperation::Add }
+    let operation = if blend == Blend::Max { BlendOperation::Max } else { BlendOperation::Add };
+    BlendComponent { src_factor, dst_factor, operation }
 }
 
 /// A target that blends.

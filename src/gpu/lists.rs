@@ -2,7 +2,7 @@
 
 use super::device::Connection;
 use super::draw::{Gpu, Image, Stop, attachment, dispatch, draw_primitives, group, resolve};
-use super::form::{Form, Listing, Sorting, list_module};
+use super::form::{Form, Sorting, list_module};
 use super::layouts::{Draws, Entry, Layouts, plain};
 use super::picture::{Picture, buffer, bytes_of, texture};
 use super::recorder::{Recorder, Stage, Times, read};
@@ -71,7 +71,8 @@ impl Gpu {
         &mut self,
         picture: &Picture,
         form: &Form,
-        listing: &Listing,
+        (point, sorted): (&str, Sorting),
+        constants: &[(&str, f64)],
         stop: Stop<'_>,
     ) -> Result<Image> {
         let bands = self.bands_of_fragments(picture, self.rows_per_band(picture, form))?;
@@ -90,14 +91,14 @@ impl Gpu {
                 picture,
                 [&frame, &lists.group],
                 band,
-                listing.sorted,
+                sorted,
             )?;
             let pipeline = layouts.compute(
                 &connection.device,
-                Entry { module: &module, point: listing.resolve },
+                Entry { module: &module, point },
                 true,
                 true,
-                &[],
+                constants,
             );
             let groups = [&frame, &lists.group];
             resolve(connection, layouts, recorder, picture, form, band, &pipeline, groups, &mut image)?;

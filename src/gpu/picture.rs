@@ -3,6 +3,7 @@
 use super::device::Connection;
 use super::geometry::{Packed, Viewport};
 use super::layouts::Layouts;
+use super::tiles::Planned;
 use crate::error::{Error, Result};
 use crate::raster::{Drawn, Rect};
 use wgpu::{
@@ -47,6 +48,8 @@ pub struct Picture {
     pub counts: Buffer,
     /// Fragments of each row, and of its deepest pixel; empty until they have been counted.
     pub rows: Vec<[u32; 2]>,
+    /// How the raster in compute cuts it up, once it has.
+    pub plan: Planned,
     /// Bytes on the device.
     pub bytes: u64,
 }
@@ -144,6 +147,7 @@ impl Picture {
             batches: Vec::new(),
             counts: buffer(connection, "counts", 4 * pixels, BufferUsages::STORAGE | BufferUsages::COPY_SRC),
             rows: Vec::new(),
+            plan: Planned::new(),
             bytes: 4 * pixels + if view.opaque.is_some() { 20 * pixels } else { 0 },
         };
         picture.add_primitives(connection, layouts, primitives);

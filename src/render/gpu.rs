@@ -5,7 +5,8 @@ use super::{Options, Request, Source, with_threads};
 use crate::error::{Error, Result};
 use crate::fragments::{Background, Fragment, Fragments, Lists};
 use crate::frame::{Frame, Image, Sample, Stats};
-use crate::gpu::form::{Form, Path};
+use crate::gpu::form::tiled::RasterPath;
+use crate::gpu::form::{Form, Number, Path, submission};
 use crate::gpu::{Captured, Key, Opaque, Shared, View, with_gpu};
 use crate::order::{CentroidOrder, SubmissionOrder};
 use crate::params::{self, Params};
@@ -38,6 +39,7 @@ pub fn render_on_gpu(
     source: Source<'_>,
     requests: &[Request],
     options: &Options,
+    raster: RasterPath,
     stop: &(dyn Fn() -> bool + Sync),
 ) -> Result<Vec<Frame>> {
     let asked = requests.iter().map(Request::check).collect::<Result<Vec<_>>>()?;
@@ -45,7 +47,7 @@ pub fn render_on_gpu(
         return Err(Error::argument("backend", "\"gpu\" takes scenes; fragments are rendered on \"cpu\""));
     };
     let provisional = raster::provisional_view(scene);
-    asked.iter().try_for_each(|asked| bound(asked, &provisional).map(drop))?;
+    asked.iter().try_for_each(|asked| bound(asked, &provisional, raster).map(drop))?;
     if asked.is_empty() {
         return Ok(Vec::new());
     }
@@ -57,14 +59,14 @@ pub fn render_on_gpu(
             let mut answers: Vec<(Bound, Answer)> = Vec::new();
             let mut frames = Vec::new();
             for asked in &asked {
-                let bound = bound(asked, &range)?;
+                let bound = bound(asked, &range, raster)?;
                 let same = |(other, _): &(Bound, Answer)| other.variant.is_same(&bound.variant);
                 let known = if options.skip { answers.iter().position(same) } else { None };
                 let params = bound.variant.params.clone();
                 let place = if let Some(place) = known {
                     place
                 } else {
-                    let answer = job.answer(&bound)?;
+                    let answer = job.answer(&bound, raster)?;
                     answers.push((bound, answer));
                     answers.len() - 1
                 };
@@ -129,7 +131,7 @@ fn has_opaque(scene: &Scene) -> bool {
     scene.meshes().iter().any(|mesh| !mesh.material().is_transparent())
 }
 
-fn bound(asked: &Asked, view: &params::View) -> Result<Bound> {
+fn bound(asked: &Asked, view: &params::View, raster: RasterPath) -> Result<Bound> {
     let (id, make) = match asked {
         Asked::Registered(info, _) => (info.id, info.gpu),
         Asked::Custom(custom) => (custom.id, None),
@@ -138,17 +140,26 @@ fn bound(asked: &Asked, view: &params::View) -> Result<Bound> {
         return Err(Error::argument("backend", format!("{id:?} has no GPU form; its backends: cpu")));
     };
     let variant = asked.bind(view)?;
-    let form = make(&variant.params, view)?;
-    let order = match &form.path {
-        // they are sorted afterwards
-        Path::Listed(_) => SubmissionOrder::AsIs,
-        Path::Blended(_) => variant.order,
+    let mut form = make(&variant.params, view)?;
+    if raster == RasterPath::Compute {
+        form.tiled_module()?;
+    }
+    let order = match (&mut form.path, raster) {
+        // lists are sorted afterwards, and peeling ends ties by the order of ids, in which primitives are then drawn
+        (Path::Listed(_) | Path::Peeled(_), _) => SubmissionOrder::AsIs,
+        (Path::Streamed(stream), _) if !stream.is_ordered => SubmissionOrder::AsIs,
+        (Path::Streamed(stream), RasterPath::Hardware) => {
+            let (sorted, backwards) = submission(&variant.params)?;
+            (stream.sorted, stream.backwards) = (sorted, backwards == Number::Whole(1));
+            SubmissionOrder::AsIs
+        }
+        (Path::Blended(_) | Path::Streamed(_), _) => variant.order,
     };
     if !order.is_of_primitives() {
         let given = variant.params.text("submission_order");
-        let problem = format!(
-            "submission_order={given:?} sorts fragments, which blend units of the backend \"gpu\" cannot"
-        );
+        let who = if raster == RasterPath::Compute { "the path \"compute\"" } else { "blend units" };
+        let problem =
+            format!("submission_order={given:?} sorts fragments, which {who} of the backend \"gpu\" cannot");
         return Err(variant
             .params
             .error(problem, "there it is one of \"as_is\", \"reversed\", \"shuffled\", \"centroid\""));
@@ -214,12 +225,12 @@ impl Job<'_> {
         Ok(range)
     }
 
-    fn answer(&mut self, bound: &Bound) -> Result<Answer> {
+    fn answer(&mut self, bound: &Bound, raster: RasterPath) -> Result<Answer> {
         let key = Key { scene: self.hash, order: bound.order };
         if !self.shared.has(key) {
             self.load(bound.order)?;
         }
-        let drawn = self.shared.draw(key, &bound.form, self.stop)?;
+        let drawn = self.shared.draw(key, &bound.form, raster, self.stop)?;
         let Some((image, (fragments, deepest))) = drawn else { unreachable!("it was loaded") };
         let colored = bound.form.colored_transmittance;
         let (color, transmittance) = split(&image.texels, colored);
