@@ -112,8 +112,8 @@ def test_hundreds_of_primitives_in_a_tile_come_in_the_order_of_submission() -> N
     scene = scene_of(mesh_of(around(rng, 3000, 2.0, 1.5), rng))
     for size in ((1, 1), (1, 300), (517, 3), (9, 8), (65, 129), (1100, 5)):
         sized = scene.replace(width=size[0], height=size[1])
-        frame = agree(sized, "alpha_compositing")
-        assert frame.stats.depth_complexity_max > 256
+        agree(sized, "alpha_compositing")
+    assert len(np.unique(oitlab.capture(scene.replace(width=8, height=8)).primitive)) > 3 * 256
 
 
 def test_large_images_are_drawn_in_parts() -> None:
@@ -193,8 +193,8 @@ def both(scene):
 pane = [((-99, -99, 0), (99, -99, 0), (0, 99, 0))]
 def panes(count):
     mesh = oitlab.Mesh(np.reshape(pane * count, (-1, 3)), np.arange(3 * count).reshape(-1, 3), color=(1, 1, 1, 0.125))
-    return oitlab.Scene([mesh], camera=oitlab.Camera(eye=(0, 0, 5)), width=40, height=200)
-# 5 x 8 tiles in a row of bins, of four: 4096 entries fit, those of all rows do not
+    return oitlab.Scene([mesh], camera=oitlab.Camera(eye=(0, 0, 5)), width=40, height=100)
+# 5 x 8 tiles in the first row of bins, 5 x 5 in the second: 4096 entries fit, those of both rows do not
 np.testing.assert_allclose(*both(panes(70)), rtol=0, atol=1e-5)
 for count, error, words in ((120, MemoryError, "primitives in the tiles of a row"), (400, ValueError, "draws them in parts")):
     try:

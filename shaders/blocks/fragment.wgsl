@@ -39,6 +39,11 @@ override perspective: bool = true;
 // Fragments that neither cover nor emit are fragments, too.
 override shows_zero_fragments: bool = false;
 
+// Where it is known that there are none, nothing is spent on them.
+override may_have_outlines: bool = true;
+override may_have_varying_colors: bool = true;
+override may_have_opaque: bool = true;
+
 const NO_VARYING_COLOR = 0xffffffffu;
 const CENTER = 128;
 
@@ -180,17 +185,21 @@ fn varying_color_at(index: u32, d: vec2f, color: ptr<function, vec4f>) -> bool {
 // Whether there is anything to be seen of a primitive in a pixel where its triangle is, and what.
 fn is_seen(placed: Placed, fragment: ptr<function, Fragment>) -> bool {
     let pixel = vec2u(placed.position.xy);
-    if placed.meta_data.w > 0u && !outline_covers(placed.meta_data.z, placed.meta_data.w, pixel) {
-        return false;
+    if may_have_outlines && placed.meta_data.w > 0u {
+        if !outline_covers(placed.meta_data.z, placed.meta_data.w, pixel) {
+            return false;
+        }
     }
     let d = vec2f(vec2i(pixel) - placed.anchor);
     let depth = depth_of(placed, d);
-    if frame.has_opaque != 0u && depth > textureLoad(opaque_depth, pixel, 0).x {
+    if may_have_opaque && frame.has_opaque != 0u && depth > textureLoad(opaque_depth, pixel, 0).x {
         return false;
     }
     var color = placed.color;
-    if placed.meta_data.y != NO_VARYING_COLOR && !varying_color_at(placed.meta_data.y, d, &color) {
-        return false;
+    if may_have_varying_colors && placed.meta_data.y != NO_VARYING_COLOR {
+        if !varying_color_at(placed.meta_data.y, d, &color) {
+            return false;
+        }
     }
     if !shows_zero_fragments && all(color == vec4f(0.0)) {
         return false;

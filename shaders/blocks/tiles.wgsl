@@ -74,8 +74,27 @@ fn mat3_of(a: vec3i, b: vec3i, c: vec3i) -> array<vec3i, 3> {
     return array<vec3i, 3>(vec3i(a.x, b.x, c.x), vec3i(a.y, b.y, c.y), vec3i(a.z, b.z, c.z));
 }
 
+// Whether the tile has a pixel that may be inside: each edge has one on its inner side.
+fn touches_tile(edges: Prepared) -> bool {
+    let steps = vec3i(i32(TILE) - 1);
+    return all(edges.at + max(edges.x * steps, vec3i(0)) + max(edges.y * steps, vec3i(0)) >= vec3i(0));
+}
+
 const AT_A_TIME = TILE * TILE;
 var<workgroup> prepared: array<Prepared, AT_A_TIME>;
+// which of those at hand touch the tile
+var<workgroup> touching: array<atomic<u32>, 2>;
+
+// How many of the first `count` touch the tile.
+fn touching_before(count: u32) -> u32 {
+    let first = atomicLoad(&touching[0]);
+    if count < 32u {
+        return countOneBits(first & ((1u << count) - 1u));
+    }
+    // there is no shifting by 32
+    let earlier = select((1u << (count - 32u)) - 1u, 0xffffffffu, count >= 64u);
+    return countOneBits(first) + countOneBits(atomicLoad(&touching[1]) & earlier);
+}
 var<workgroup> tile_at_hand: vec2u;
 
 fn tile_of(tile: vec2u) -> u32 {
@@ -104,14 +123,28 @@ fn draw_tiles(
         begin(pixel);
     }
     for (var base = 0u; base < at_hand.y; base += AT_A_TIME) {
-        if base + thread < at_hand.y {
-            prepared[thread] = prepare(tile_entries[at_hand.x + base + thread], first_pixel);
+        if thread < 2u {
+            atomicStore(&touching[thread], 0u);
         }
         workgroupBarrier();
-        let count = min(AT_A_TIME, at_hand.y - base);
+        var edges: Prepared;
+        var touches = false;
+        if base + thread < at_hand.y {
+            edges = prepare(tile_entries[at_hand.x + base + thread], first_pixel);
+            touches = touches_tile(edges);
+        }
+        if touches {
+            atomicOr(&touching[thread / 32u], 1u << (thread % 32u));
+        }
+        workgroupBarrier();
+        if touches {
+            prepared[touching_before(thread)] = edges;
+        }
+        let count = touching_before(AT_A_TIME);
+        workgroupBarrier();
         for (var i = 0u; i < count; i++) {
-            let edges = prepared[i].at + prepared[i].x * step.x + prepared[i].y * step.y;
-            if is_in_image && all(edges >= vec3i(0)) {
+            let values = prepared[i].at + prepared[i].x * step.x + prepared[i].y * step.y;
+            if is_in_image && all(values >= vec3i(0)) {
                 let placed = placed_at(prepared[i].index, vec4f(vec2f(pixel) + 0.5, 0.5, 1.0));
                 var fragment: Fragment;
                 if is_seen(placed, &fragment) {

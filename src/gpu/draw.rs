@@ -97,9 +97,7 @@ impl Gpu {
         }
         match &form.path {
             Path::Blended(blending) => self.blended(picture, form, blending, stop),
-            Path::Listed(listing) => {
-                self.listed(picture, form, (listing.resolve, listing.sorted), &[], stop)
-            }
+            Path::Listed(listing) => self.listed(picture, form, (listing.resolve, listing.sorted), &[], stop),
             Path::Streamed(stream) => {
                 let flag = |on: bool| f64::from(u8::from(on));
                 let (zero_fragments, backwards) = (form.shows_zero_fragments, stream.backwards);

@@ -435,7 +435,9 @@ mod tests {
             assert!(names.contains(&"draw_tiles"), "{}: {names:?}", info.id);
             tiled.push(info.id);
         }
-        for id in ["alpha_compositing", "painter", "weighted_sum", "wboit", "mlab", "multilayer_depth_peeling"] {
+        for id in
+            ["alpha_compositing", "painter", "weighted_sum", "wboit", "mlab", "multilayer_depth_peeling"]
+        {
             assert!(tiled.contains(&id), "{tiled:?}");
         }
         assert!(!tiled.contains(&"a_buffer"));

@@ -9,8 +9,9 @@ use std::sync::Arc;
 use wgpu::{
     BindGroupLayout, BindGroupLayoutDescriptor, BindGroupLayoutEntry, BindingType, BlendComponent,
     BlendFactor, BlendOperation, BlendState, BufferBindingType, ColorTargetState, ColorWrites,
-    ComputePipeline, DepthStencilState, Device, Features, RenderPipeline, ShaderModule, ShaderStages, StorageTextureAccess, TextureFormat,
-    TextureFormatFeatureFlags, TextureSampleType, TextureUsages, TextureViewDimension,
+    ComputePipeline, DepthStencilState, Device, Features, RenderPipeline, ShaderModule, ShaderStages,
+    StorageTextureAccess, TextureFormat, TextureFormatFeatureFlags, TextureSampleType, TextureUsages,
+    TextureViewDimension,
 };
 
 /// Most render targets that a technique has.
@@ -69,7 +70,8 @@ const WORDS: BindingType = BindingType::Texture {
 
 /// Group 2 of the raster in compute: what it bins, and the textures that it writes.
 pub fn tile_entries(textures: &[TextureFormat]) -> Vec<BindGroupLayoutEntry> {
-    let in_compute = |binding, ty| BindGroupLayoutEntry { visibility: ShaderStages::COMPUTE, ..entry(binding, ty) };
+    let in_compute =
+        |binding, ty| BindGroupLayoutEntry { visibility: ShaderStages::COMPUTE, ..entry(binding, ty) };
     let uniform = in_compute(0, buffer(BufferBindingType::Uniform));
     let buffers = (1..7).map(|binding| in_compute(binding, buffer(WRITE)));
     let written = (7..).zip(textures).map(|(binding, format)| {

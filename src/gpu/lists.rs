@@ -84,22 +84,9 @@ impl Gpu {
             let frame = self.frame(picture, band, &params);
             let Self { connection, layouts } = self;
             let mut recorder = Recorder::new(connection, stop);
-            fill_lists(
-                connection,
-                layouts,
-                &mut recorder,
-                picture,
-                [&frame, &lists.group],
-                band,
-                sorted,
-            )?;
-            let pipeline = layouts.compute(
-                &connection.device,
-                Entry { module: &module, point },
-                true,
-                true,
-                constants,
-            );
+            fill_lists(connection, layouts, &mut recorder, picture, [&frame, &lists.group], band, sorted)?;
+            let pipeline =
+                layouts.compute(&connection.device, Entry { module: &module, point }, true, true, constants);
             let groups = [&frame, &lists.group];
             resolve(connection, layouts, recorder, picture, form, band, &pipeline, groups, &mut image)?;
         }

@@ -107,8 +107,7 @@ impl<'a> Peeler<'a> {
         let sums: Vec<_> = formats.iter().map(|format| target(*format, read)).collect();
         let is_nearest = peeling.ends == Ends::Nearest;
         let depth = is_nearest.then(|| target(DEPTH_BUFFER, TextureUsages::empty()));
-        let has_peeled =
-            buffer(connection, "has peeled", 4, BufferUsages::STORAGE | BufferUsages::COPY_SRC);
+        let has_peeled = buffer(connection, "has peeled", 4, BufferUsages::STORAGE | BufferUsages::COPY_SRC);
         let layout = if is_nearest { &layouts.peeled_keys } else { &layouts.peeled_depths }.clone();
         let group = |frontier: &TextureView, second: &TextureView| {
             let textures = [frontier, second].map(BindingResource::TextureView);
@@ -212,10 +211,8 @@ fn pipelines(
     });
     let module = form.module();
     let entry = |point| Entry { module: &module, point };
-    let draws = Draws::Primitives {
-        perspective: picture.perspective,
-        zero_fragments: form.shows_zero_fragments,
-    };
+    let draws =
+        Draws::Primitives { perspective: picture.perspective, zero_fragments: form.shows_zero_fragments };
     let device = &connection.device;
     [
         layouts.render_with(device, entry(peeling.peel), draws, &targets, Some(layout), depth),

@@ -44,6 +44,10 @@ pub struct Picture {
     pub opaque_color: TextureView,
     /// Draw calls: buffers and the number of primitives in them.
     pub batches: Vec<(BindGroup, u32)>,
+    /// Whether there are outlines of polygons, and colours that vary.
+    pub has_outlines: bool,
+    /// See [`Picture::has_outlines`].
+    pub has_varying_colors: bool,
     /// Fragments per pixel, a `u32` each.
     pub counts: Buffer,
     /// Fragments of each row, and of its deepest pixel; empty until they have been counted.
@@ -145,6 +149,8 @@ impl Picture {
                 &opaque.color,
             ),
             batches: Vec::new(),
+            has_outlines: false,
+            has_varying_colors: false,
             counts: buffer(connection, "counts", 4 * pixels, BufferUsages::STORAGE | BufferUsages::COPY_SRC),
             rows: Vec::new(),
             plan: Planned::new(),
@@ -179,6 +185,8 @@ impl Picture {
 
     #[expect(clippy::cast_possible_truncation, reason = "a buffer holds far less than 2^32 primitives")]
     fn add_batch(&mut self, connection: &Connection, layouts: &Layouts, packed: &Packed) {
+        self.has_outlines |= !packed.outlines.is_empty();
+        self.has_varying_colors |= !packed.varying.is_empty();
         let parts = [
             bytes_of(packed.primitives.as_flattened()),
             bytes_of(packed.varying.as_flattened()),

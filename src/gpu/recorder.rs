@@ -7,8 +7,8 @@ use std::sync::mpsc::channel;
 use std::time::Instant;
 use wgpu::{
     Buffer, BufferUsages, CommandEncoder, CommandEncoderDescriptor, ComputePass, ComputePassDescriptor,
-    ComputePassTimestampWrites, Features, LoadOp, MapMode, Operations, QuerySet, QuerySetDescriptor, QueryType,
-    RenderPass, RenderPassColorAttachment, RenderPassDepthStencilAttachment, RenderPassDescriptor,
+    ComputePassTimestampWrites, Features, LoadOp, MapMode, Operations, QuerySet, QuerySetDescriptor,
+    QueryType, RenderPass, RenderPassColorAttachment, RenderPassDepthStencilAttachment, RenderPassDescriptor,
     RenderPassTimestampWrites, StoreOp, TextureView,
 };
 

@@ -9,10 +9,10 @@ use super::picture::{Picture, buffer, bytes_of, texture};
 use super::recorder::{Recorder, Stage, Times};
 use crate::error::{Error, Result};
 use std::ops::Range;
-use std::sync::OnceLock;
+use std::sync::{Arc, OnceLock};
 use wgpu::{
     BindGroup, BindGroupLayout, BindGroupLayoutDescriptor, BindingResource, Buffer, BufferUsages,
-    TextureFormat, TextureUsages, TextureView, TextureViewDescriptor,
+    ComputePipeline, TextureFormat, TextureUsages, TextureView, TextureViewDescriptor,
 };
 
 /// Pixels along a tile's side.
@@ -62,7 +62,7 @@ struct Bins {
 /// Where tiles are drawn to: group 2 has a place for it, or the image is written.
 struct Drawing<'a> {
     module: &'a str,
-    constants: [(&'static str, f64); 2],
+    constants: [(&'static str, f64); 5],
     layout: BindGroupLayout,
     textures: &'a [TextureView],
     image: Option<BindGroup>,
@@ -126,16 +126,16 @@ impl Bins {
         group(connection, layout, &resources)
     }
 
-    /// Counts the entries of some rows of bins and, if there is room for them, puts primitives into tiles.
-    fn fill(
+    /// Counts the entries of some rows of bins and, if there is something to draw and so room for them, puts primitives into
+    /// tiles and draws those. All is one pass: stamps between dispatches are not to be trusted everywhere.
+    fn pass(
         &self,
-        gpu: (&Connection, &mut Layouts),
+        (connection, layouts): (&Connection, &mut Layouts),
         recorder: &mut Recorder<'_>,
         rows: &Range<u32>,
         frame: &BindGroup,
-        has_room: bool,
+        drawing: Option<(&Drawing<'_>, (u32, u32))>,
     ) -> Result<()> {
-        let (connection, layouts) = gpu;
         let module = bins_module();
         let layout = layouts.tiles.clone();
         let group = self.group(connection, &layout, rows, &[]);
@@ -147,10 +147,14 @@ impl Bins {
         let chunks = self.primitives.div_ceil(CHUNK);
         let (wide, high) = (chunks.min(most), chunks.div_ceil(most));
         let mut steps = vec![(kernel("count_bins"), wide, high), (kernel("place_bins"), 1, 1)];
-        if has_room {
+        if drawing.is_some() {
             steps.push((kernel("fill_bins"), wide, high));
             steps.push((kernel("fill_tiles"), self.columns * (rows.end - rows.start), 1));
         }
+        let drawing = drawing.map(|(drawing, extent)| {
+            let pipeline = drawing.pipeline(connection, layouts);
+            (drawing, self.group(connection, &drawing.layout, rows, drawing.textures), pipeline, extent)
+        });
         recorder.clear(&self.bins);
         recorder.compute(Stage::Raster, |pass| {
             pass.set_bind_group(0, frame, &[]);
@@ -160,36 +164,23 @@ impl Bins {
                 pass.set_pipeline(pipeline);
                 pass.dispatch_workgroups(*x, *y, 1);
             }
+            if let Some((drawing, group, pipeline, (width, height))) = &drawing {
+                pass.set_pipeline(pipeline);
+                pass.set_bind_group(2, group, &[]);
+                if let Some(image) = &drawing.image {
+                    pass.set_bind_group(3, image, &[]);
+                }
+                pass.dispatch_workgroups(width.div_ceil(TILE), height.div_ceil(TILE), 1);
+            }
         })
     }
+}
 
-    /// Draws the tiles of some rows of bins.
-    fn draw(
-        &self,
-        gpu: (&Connection, &mut Layouts),
-        recorder: &mut Recorder<'_>,
-        rows: &Range<u32>,
-        frame: &BindGroup,
-        drawing: &Drawing<'_>,
-        extent: (u32, u32),
-    ) -> Result<()> {
-        let (connection, layouts) = gpu;
-        self.fill((connection, &mut *layouts), recorder, rows, frame, true)?;
-        let Drawing { module, constants, layout, textures, image } = drawing;
-        let group = self.group(connection, layout, rows, textures);
-        let entry = Entry { module, point: "draw_tiles" };
-        let pipeline =
-            layouts.compute_with(&connection.device, entry, true, layout, image.is_some(), constants);
-        recorder.compute(Stage::Raster, |pass| {
-            pass.set_pipeline(&pipeline);
-            pass.set_bind_group(0, frame, &[]);
-            pass.set_bind_group(1, &self.geometry, &[]);
-            pass.set_bind_group(2, &group, &[]);
-            if let Some(image) = image {
-                pass.set_bind_group(3, image, &[]);
-            }
-            pass.dispatch_workgroups(extent.0.div_ceil(TILE), extent.1.div_ceil(TILE), 1);
-        })
+impl Drawing<'_> {
+    fn pipeline(&self, connection: &Connection, layouts: &mut Layouts) -> Arc<ComputePipeline> {
+        let entry = Entry { module: self.module, point: "draw_tiles" };
+        let writes_image = self.image.is_some();
+        layouts.compute_with(&connection.device, entry, true, &self.layout, writes_image, &self.constants)
     }
 }
 
@@ -251,7 +242,7 @@ impl Gpu {
             let frame = self.frame(picture, &pixel_rows(height, side, &rows), &[]);
             let Self { connection, layouts } = &mut *self;
             let mut recorder = Recorder::new(connection, stop);
-            bins.fill((connection, layouts), &mut recorder, &rows, &frame, false)?;
+            bins.pass((connection, layouts), &mut recorder, &rows, &frame, None)?;
             let words = BIN * (columns * (rows.end - rows.start)) as usize;
             let (counts, _): (Vec<u32>, _) = recorder.finish(&bins.bins, 4 * words as u64)?;
             let row = |bins: &[u32]| {
@@ -280,6 +271,9 @@ impl Gpu {
         let constants = [
             ("perspective", flag(picture.perspective)),
             ("shows_zero_fragments", flag(form.shows_zero_fragments)),
+            ("may_have_outlines", flag(picture.has_outlines)),
+            ("may_have_varying_colors", flag(picture.has_varying_colors)),
+            ("may_have_opaque", flag(picture.has_opaque)),
         ];
         let layout = self.layouts.tiles.clone();
         let drawing = Drawing { module: &module, constants, layout, textures: &[], image: None };
@@ -324,7 +318,8 @@ impl Gpu {
             let Self { connection, layouts } = &mut *self;
             let mut recorder = Recorder::new(connection, stop);
             let extent = (picture.width, rows.end - rows.start);
-            bins.draw((connection, layouts), &mut recorder, &part.rows, &frame, &drawing, extent)?;
+            let drawing = Some((&drawing, extent));
+            bins.pass((connection, layouts), &mut recorder, &part.rows, &frame, drawing)?;
             // what is read back says no more than that it is done
             let (_, spent) = recorder.finish::<u32>(&bins.bins, 4)?;
             times = times.plus(spent);
@@ -356,7 +351,8 @@ impl Gpu {
             let output = buffer(connection, "image", bytes, usage);
             drawing.image = Some(group(connection, &layouts.output, &[output.as_entire_binding()]));
             let mut recorder = Recorder::new(connection, stop);
-            bins.draw((connection, layouts), &mut recorder, &part.rows, &frame, &drawing, extent)?;
+            let drawing = Some((&drawing, extent));
+            bins.pass((connection, layouts), &mut recorder, &part.rows, &frame, drawing)?;
             let (texels, times): (Vec<f32>, _) = recorder.finish(&output, bytes)?;
             image.texels.extend(texels);
             image.times = image.times.plus(times);

@@ -3,9 +3,9 @@
 use super::custom::Named;
 use super::fragments::PyFragments;
 use super::frame::PyFrame;
+use super::function::Failures;
 #[cfg(feature = "gpu")]
 use super::run::interruptible;
-use super::function::Failures;
 use super::run::{AnySource, options, requests};
 use super::scene::PyScene;
 use crate::gpu::form::tiled::RasterPath;
@@ -57,7 +57,8 @@ pub fn capture_gpu(py: Python<'_>, scene: &Bound<'_, PyScene>) -> PyResult<PyFra
     #[cfg(feature = "gpu")]
     {
         let (scene, options) = (Arc::clone(&scene.get().0), options(None, true)?);
-        let work = move |stop: &(dyn Fn() -> bool + Sync)| crate::render::capture_on_gpu(&scene, &options, stop);
+        let work =
+            move |stop: &(dyn Fn() -> bool + Sync)| crate::render::capture_on_gpu(&scene, &options, stop);
         let fragments = interruptible(py, &Failures::default(), work)?;
         Ok(PyFragments(Arc::new(fragments)))
     }

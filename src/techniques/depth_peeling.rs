@@ -6,7 +6,9 @@ use crate::continuum::sums::blend;
 use crate::error::Result;
 use crate::format::{Format, Formats};
 use crate::fragments::{Fragment, List};
-use crate::gpu::form::{BlendTarget, Ends, Form, Number, Path, Peeling, SHARES, target_format, window_exponent};
+use crate::gpu::form::{
+    BlendTarget, Ends, Form, Number, Path, Peeling, SHARES, target_format, window_exponent,
+};
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{
     AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties, Resolved, Streamed, Technique,

@@ -1,7 +1,8 @@
 //! Forms for the raster in compute, which hands a pixel's fragments one by one to what it keeps in registers.
 
 use super::{
-    BINS, Blend, BlendTarget, Blending, DOUBLE, FRAGMENT, FRAME, Form, LAYERS, LISTS, Path, RESOLVE, TILES, WEIGHT,
+    BINS, Blend, BlendTarget, Blending, DOUBLE, FRAGMENT, FRAME, Form, LAYERS, LISTS, Path, RESOLVE, TILES,
+    WEIGHT,
 };
 use crate::error::{Error, Result};
 use crate::format::Format;
