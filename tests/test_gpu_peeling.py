@@ -82,7 +82,9 @@ def test_what_is_opaque_or_not_there_is_no_exception(technique: str) -> None:
     colors = rng.random((60, 4))
     colors[::3, 3], colors[1::3, 3] = 0, 1
     mesh = oitlab.Mesh(corners.reshape(-1, 3), np.arange(180).reshape(-1, 3), face_colors=colors)
-    glow = oitlab.Mesh([(-2, -2, 1), (2, -2, 1), (0, 2, 1)], [(0, 1, 2)], color=(1, 1, 1, 0), emission=(0.5, 2, 1))
+    glow = oitlab.Mesh(
+        [(-2, -2, 1), (2, -2, 1), (0, 2, 1)], [(0, 1, 2)], color=(1, 1, 1, 0), emission=(0.5, 2, 1)
+    )
     for passes in (0, 2, 5):
         agree(scene_of(mesh, glow), technique, {"passes": passes})
 

@@ -117,7 +117,7 @@ def test_hundreds_of_primitives_in_a_tile_come_in_the_order_of_submission() -> N
 
 
 def test_large_images_are_drawn_in_parts() -> None:
-    """Where there are more bins of 64 pixels than at a time, they are of 128, and where those are too many, too."""
+    """Bins are of 64 pixels, of 128 where those would be too many, and in parts where these are."""
     rng = np.random.default_rng(8)
     scene = scene_of(mesh_of(around(rng, 40, 2.0, 1.0), rng))
     for size in ({"width": 1500, "height": 1500}, {"width": 4100, "height": 1100}):
@@ -192,11 +192,13 @@ def both(scene):
     return [oitlab.gpu.render(scene, "weighted_sum", path=path).color for path in ("hardware", "compute")]
 pane = [((-99, -99, 0), (99, -99, 0), (0, 99, 0))]
 def panes(count):
-    mesh = oitlab.Mesh(np.reshape(pane * count, (-1, 3)), np.arange(3 * count).reshape(-1, 3), color=(1, 1, 1, 0.125))
+    faces = np.arange(3 * count).reshape(-1, 3)
+    mesh = oitlab.Mesh(np.reshape(pane * count, (-1, 3)), faces, color=(1, 1, 1, 0.125))
     return oitlab.Scene([mesh], camera=oitlab.Camera(eye=(0, 0, 5)), width=40, height=100)
 # 5 x 8 tiles in the first row of bins, 5 x 5 in the second: 4096 entries fit, those of both rows do not
 np.testing.assert_allclose(*both(panes(70)), rtol=0, atol=1e-5)
-for count, error, words in ((120, MemoryError, "primitives in the tiles of a row"), (400, ValueError, "draws them in parts")):
+in_a_row, in_parts = "primitives in the tiles of a row", "draws them in parts"
+for count, error, words in ((120, MemoryError, in_a_row), (400, ValueError, in_parts)):
     try:
         both(panes(count))
     except error as problem:
