@@ -103,9 +103,10 @@ fn resolve_list(@builtin(global_invocation_id) id: vec3u) {
         if does_nothing(place - 1u) {
             continue;
         }
-        behind = colors[place - 1u].rgb + (1.0 - colors[place - 1u].a) * behind;
+        // what overflows can still be hidden
+        behind = min(colors[place - 1u].rgb + (1.0 - colors[place - 1u].a) * behind, vec3f(LARGEST));
         shown_behind *= 1.0 - colors[place - 1u].a;
         peeled++;
     }
-    store(id, front_color + shown * behind, shown * shown_behind);
+    store(id, min(front_color, vec3f(LARGEST)) + shown * behind, shown * shown_behind);
 }

@@ -225,3 +225,27 @@ def test_what_does_nothing_is_shown_to_whom_it_is_on_the_cpu() -> None:
         expected = oitlab.render(scene, technique)
         limit = (expected.stats.depth_complexity_max + ROUNDINGS) * 2 * F32
         np.testing.assert_allclose(got.color, expected.color, rtol=0, atol=limit)
+
+
+def test_what_overflows_can_still_be_hidden() -> None:
+    """On this path also by alpha compositing, whose blend unit multiplies infinity by nothing."""
+    pane = np.array([(-3.0, -2, 0), (3, -2, 0), (0, 4, 0)])
+    glow = [
+        oitlab.Mesh(pane - (0, 0, z), [(0, 1, 2)], color=(0, 0, 0, 0), emission=(3e38, 3e38, 3e38))
+        for z in (2, 1, 0.5)
+    ]
+    wall = oitlab.Mesh(pane, [(0, 1, 2)], color=(0.5, 0.5, 0.5, 1.0))
+    glass = oitlab.Mesh(pane - (0, 0, -1), [(0, 1, 2)], color=(0.1, 0.2, 0.3, 0.5))
+    scene = scene_of(*glow, wall, glass)
+    expected = oitlab.render(scene, "a_buffer").color
+    for technique in ("alpha_compositing", "mlab", "multilayer_depth_peeling"):
+        got = oitlab.gpu.render(scene, technique, path="compute").color
+        np.testing.assert_allclose(got[24, 32], expected[24, 32], rtol=1e-6)
+    for technique, params in (
+        ("mlab", {"layers": 1}),
+        ("depth_peeling", {}),
+        ("dual_depth_peeling", {}),
+        ("dual_depth_peeling", {"passes": 9}),
+    ):
+        got = oitlab.render(scene, technique, params, backend="gpu").color
+        np.testing.assert_allclose(got[24, 32], expected[24, 32], rtol=1e-6)

@@ -30,9 +30,10 @@ fn insert_fragment(fragment: Fragment) {
     insert_node(key, vec4f(fragment.color, fragment.alpha));
 }
 
-// One node over another.
+// One node over another. What overflows is the largest number, and can still be hidden.
 fn over(near: Node, far: Node) -> Node {
-    return Node(near.key, near.color + near.transmittance * far.color, near.transmittance * far.transmittance);
+    let color = min(near.color + near.transmittance * far.color, vec3f(LARGEST));
+    return Node(near.key, color, near.transmittance * far.transmittance);
 }
 
 // The two furthest nodes become one.

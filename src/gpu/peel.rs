@@ -6,7 +6,7 @@ use super::form::{Blend, BlendTarget, Ends, Form, Peeling};
 use super::layouts::{Draws, Entry, Layouts, blended, plain};
 use super::picture::{Picture, buffer, texture};
 use super::recorder::{PASSES, Recorder, Stage, Times};
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::format::Format;
 use std::sync::Arc;
 use wgpu::{
@@ -36,8 +36,13 @@ impl Connection {
     /// # Errors
     /// As [`Connection::target_format`], also for the frontier.
     pub fn peeling_formats(&self, peeling: &Peeling) -> Result<Vec<TextureFormat>> {
-        if peeling.ends == Ends::Both {
-            self.target_format(&DEPTHS)?;
+        if peeling.ends == Ends::Both && self.target_format(&DEPTHS).is_err() {
+            let problem = format!(
+                "without a limit they are peeled from both ends by blending f32, which {} does not (FLOAT32_BLENDABLE is \
+                 missing); limited passes do without",
+                self.info.name
+            );
+            return Err(Error::argument("passes", problem));
         }
         peeling.sums.iter().map(|target| self.target_format(target)).collect()
     }

@@ -117,13 +117,15 @@ fn registers(blending: &Blending) -> String {
 /// What a blend unit makes of some channels of a texel and of the state.
 fn blend(blend: Blend, i: usize, channels: &str) -> String {
     let (source, there) = (format!("texels[{i}].{channels}"), format!("state_{i}.{channels}"));
+    let largest = if channels == "rgb" { "vec3f(LARGEST)" } else { "LARGEST" };
     match blend {
         Blend::Add => format!("{source} + {there}"),
-        Blend::Over => format!("{source} + (1.0 - texels[{i}].a) * {there}"),
+        // what overflows can still be hidden
+        Blend::Over => format!("min({source} + (1.0 - texels[{i}].a) * {there}, {largest})"),
         Blend::Attenuate => format!("(1.0 - {source}) * {there}"),
         Blend::Multiply => format!("{source} * {there}"),
         Blend::Under => format!("state_{i}.a * {source} + {there}"),
-        Blend::Cover => format!("{source} + texels[{i}].a * {there}"),
+        Blend::Cover => format!("min({source} + texels[{i}].a * {there}, {largest})"),
         Blend::Max => format!("max({source}, {there})"),
     }
 }
