@@ -1,10 +1,13 @@
 // Alpha compositing (Porter & Duff 1984): the blend unit does it all.
 
 // With the background's share in the alpha channel, and the background added afterwards.
+fn composite_texels(fragment: Fragment) -> array<vec4f, 1> {
+    return array(vec4f(fragment.color, fragment.alpha));
+}
+
 @fragment
 fn composite(placed: Placed) -> @location(0) vec4f {
-    let fragment = fragment_of(placed);
-    return vec4f(fragment.color, fragment.alpha);
+    return composite_texels(fragment_of(placed))[0];
 }
 
 struct Framebuffer {

@@ -5,10 +5,14 @@ struct Targets {
     @location(1) revealage: vec4f,
 }
 
+fn accumulate_texels(fragment: Fragment) -> array<vec4f, 2> {
+    return array(vec4f(fragment.color, fragment.alpha), vec4f(fragment.alpha));
+}
+
 @fragment
 fn accumulate(placed: Placed) -> Targets {
-    let fragment = fragment_of(placed);
-    return Targets(vec4f(fragment.color, fragment.alpha), vec4f(fragment.alpha));
+    let texels = accumulate_texels(fragment_of(placed));
+    return Targets(texels[0], texels[1]);
 }
 
 struct Params {

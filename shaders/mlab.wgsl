@@ -1,28 +1,17 @@
 // Multi-layer alpha blending (Salvi & Vaidyanathan 2014): one node too many, and the two furthest become one.
 
-struct Params {
-    backwards: u32,
+fn begin(pixel: vec2u) {
+    node_count = 0u;
 }
 
-@group(0) @binding(3) var<uniform> params: Params;
+fn take(fragment: Fragment) {
+    insert_fragment(fragment);
+    if node_count > LAYERS {
+        merge_furthest();
+    }
+}
 
-@compute @workgroup_size(8, 8)
-fn resolve(@builtin(global_invocation_id) id: vec3u) {
-    if is_outside(id) {
-        return;
-    }
-    let list = list_of(pixel_of(id));
-    node_count = 0u;
-    for (var i = 0u; i < list.y; i++) {
-        let place = place_in(list, i, params.backwards);
-        if all(colors[place] == vec4f(0.0)) {
-            continue;
-        }
-        insert_node(keys[place], colors[place]);
-        if node_count > LAYERS {
-            merge_furthest();
-        }
-    }
+fn finish(id: vec3u) {
     let all = composite_nodes(CLEAR);
     store(id, all.color + all.transmittance * background_at(pixel_of(id)), all.transmittance);
 }

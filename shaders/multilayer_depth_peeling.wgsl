@@ -7,7 +7,22 @@ struct Params {
 
 @group(0) @binding(3) var<uniform> params: Params;
 
-// Over a list that is sorted already.
+// With as many layers as all passes keep together: the furthest makes room.
+fn begin(pixel: vec2u) {
+    node_count = 0u;
+}
+
+fn take(fragment: Fragment) {
+    insert_fragment(fragment);
+    node_count = min(node_count, LAYERS);
+}
+
+fn finish(id: vec3u) {
+    let all = composite_nodes(CLEAR);
+    store(id, all.color + all.transmittance * background_at(pixel_of(id)), all.transmittance);
+}
+
+// Over a list that is sorted already, with any number of layers.
 @compute @workgroup_size(8, 8)
 fn resolve(@builtin(global_invocation_id) id: vec3u) {
     if is_outside(id) {

@@ -16,14 +16,18 @@ struct Targets {
     @location(1) modulation: vec4f,
 }
 
-@fragment
-fn accumulate(placed: Placed) -> Targets {
-    let fragment = fragment_of(placed);
+fn accumulate_texels(fragment: Fragment) -> array<vec4f, 2> {
     let tau = params.transmission;
     let alpha = fragment.alpha * (1.0 - (tau.x + tau.y + tau.z) / 3.0);
     let weight = weight_of(params.weight, fragment.depth, alpha);
     let share = vec3f(1.0) - fragment.alpha * (vec3f(1.0) - tau);
-    return Targets(weight * vec4f(fragment.color, alpha), vec4f(share, 1.0));
+    return array(weight * vec4f(fragment.color, alpha), vec4f(share, 1.0));
+}
+
+@fragment
+fn accumulate(placed: Placed) -> Targets {
+    let texels = accumulate_texels(fragment_of(placed));
+    return Targets(texels[0], texels[1]);
 }
 
 @group(2) @binding(0) var accumulation: texture_2d<f32>;

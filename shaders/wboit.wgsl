@@ -16,11 +16,15 @@ struct Listing3 {
     @location(1) revealage: vec4f,
 }
 
+fn accumulate_listing3_texels(fragment: Fragment) -> array<vec4f, 2> {
+    let weight = weight_of(params.weight, fragment.depth, fragment.alpha);
+    return array(weight * vec4f(fragment.color, fragment.alpha), vec4f(fragment.alpha));
+}
+
 @fragment
 fn accumulate_listing3(placed: Placed) -> Listing3 {
-    let fragment = fragment_of(placed);
-    let weight = weight_of(params.weight, fragment.depth, fragment.alpha);
-    return Listing3(weight * vec4f(fragment.color, fragment.alpha), vec4f(fragment.alpha));
+    let texels = accumulate_listing3_texels(fragment_of(placed));
+    return Listing3(texels[0], texels[1]);
 }
 
 struct Listing4 {
@@ -29,20 +33,27 @@ struct Listing4 {
     @location(1) weights: vec4f,
 }
 
+fn accumulate_listing4_texels(fragment: Fragment) -> array<vec4f, 2> {
+    let weight = weight_of(params.weight, fragment.depth, fragment.alpha);
+    return array(vec4f(weight * fragment.color, fragment.alpha), vec4f(weight * fragment.alpha));
+}
+
 @fragment
 fn accumulate_listing4(placed: Placed) -> Listing4 {
-    let fragment = fragment_of(placed);
-    let weight = weight_of(params.weight, fragment.depth, fragment.alpha);
-    return Listing4(vec4f(weight * fragment.color, fragment.alpha), vec4f(weight * fragment.alpha));
+    let texels = accumulate_listing4_texels(fragment_of(placed));
+    return Listing4(texels[0], texels[1]);
 }
 
 // (w luminance, w alpha, 0, R): MB13 section 3.4.
-@fragment
-fn accumulate_monochrome(placed: Placed) -> @location(0) vec4f {
-    let fragment = fragment_of(placed);
+fn accumulate_monochrome_texels(fragment: Fragment) -> array<vec4f, 1> {
     let weight = weight_of(params.weight, fragment.depth, fragment.alpha);
     let luminance = dot(fragment.color, vec3f(0.2126, 0.7152, 0.0722));
-    return vec4f(weight * luminance, weight * fragment.alpha, 0.0, fragment.alpha);
+    return array(vec4f(weight * luminance, weight * fragment.alpha, 0.0, fragment.alpha));
+}
+
+@fragment
+fn accumulate_monochrome(placed: Placed) -> @location(0) vec4f {
+    return accumulate_monochrome_texels(fragment_of(placed))[0];
 }
 
 @group(2) @binding(0) var accumulation: texture_2d<f32>;

@@ -6,10 +6,14 @@ struct Targets {
     @location(1) count: vec4f,
 }
 
+fn accumulate_texels(fragment: Fragment) -> array<vec4f, 2> {
+    return array(vec4f(fragment.color, fragment.alpha), vec4f(1.0));
+}
+
 @fragment
 fn accumulate(placed: Placed) -> Targets {
-    let fragment = fragment_of(placed);
-    return Targets(vec4f(fragment.color, fragment.alpha), vec4f(1.0));
+    let texels = accumulate_texels(fragment_of(placed));
+    return Targets(texels[0], texels[1]);
 }
 
 struct Params {

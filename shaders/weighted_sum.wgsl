@@ -1,9 +1,12 @@
 // Sort-independent alpha blending (Meshkin 2007; MB13 eq. 3 and Listing 1).
 
+fn accumulate_texels(fragment: Fragment) -> array<vec4f, 1> {
+    return array(vec4f(fragment.color, fragment.alpha));
+}
+
 @fragment
 fn accumulate(placed: Placed) -> @location(0) vec4f {
-    let fragment = fragment_of(placed);
-    return vec4f(fragment.color, fragment.alpha);
+    return accumulate_texels(fragment_of(placed))[0];
 }
 
 struct Params {

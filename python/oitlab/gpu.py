@@ -10,9 +10,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
+from typing import Any, Literal
 
 from . import _oitlab
 from .fragments import Fragments
+from .frame import Frame
+from .rendering import _render
 from .scene import Scene
 
 
@@ -91,6 +94,65 @@ def info() -> GpuInfo:
         techniques=tuple(raw["techniques"]),
         refused=MappingProxyType(raw["refused"]),
     )
+
+
+def render(
+    scene: Scene,
+    technique: str,
+    params: Mapping[str, Any] | None = None,
+    *,
+    path: Literal["hardware", "compute"] = "hardware",
+    threads: int | None = None,
+    skip: bool = True,
+) -> Frame:
+    """One technique's image, drawn by the device's own raster or by one in compute.
+
+    Parameters
+    ----------
+    scene : Scene
+        What is drawn.
+    technique : str
+        An id or alias of `oitlab.techniques()`.
+    params : mapping, optional
+        The technique's parameters, as `oitlab.render` takes them.
+    path : {"hardware", "compute"}
+        "hardware" is what `oitlab.render(..., backend="gpu")` draws with: blend units, depth buffers, lists.
+        "compute" sorts the primitives into tiles of 8 x 8 pixels and walks them in submission order, with
+        what the technique keeps of a pixel in registers: no lists, no render targets while drawing. It is for
+        techniques that take fragments one by one (blended ones in f32, `mlab`, `k_buffer`,
+        `multilayer_depth_peeling` with up to 32 layers) and takes every order of whole primitives.
+    threads, skip
+        As in `oitlab.render`.
+
+    Returns
+    -------
+    Frame
+        The same image on both paths but for rounding: both cover the same pixels.
+
+    Raises
+    ------
+    RuntimeError
+        No device.
+    ValueError
+        A technique, or params, that the path has no form for; more primitives than a buffer of the device
+        holds, on "compute".
+    MemoryError
+        Not enough memory on the device.
+
+    Examples
+    --------
+    >>> import oitlab
+    >>> scene = oitlab.scenes.squares(width=32, height=18)
+    >>> try:
+    ...     frame = oitlab.gpu.render(scene, "mlab", {"layers": 2}, path="compute")
+    ... except RuntimeError:  # no driver
+    ...     frame = oitlab.render(scene, "mlab", {"layers": 2})
+    >>> frame.color.shape
+    (18, 32, 3)
+    """
+    if not isinstance(scene, Scene):
+        raise ValueError(f"scene must be a Scene, got {type(scene).__name__}")
+    return _render(scene, [(technique, params)], "gpu", threads, skip, "float32", False, path)[0]
 
 
 def capture(scene: Scene) -> Fragments:

@@ -188,6 +188,7 @@ def _render(
     skip: bool,
     dtype: Any,
     diagnostics: bool,
+    path: str = "hardware",
 ) -> list[Frame]:
     if isinstance(variants, str) or not isinstance(variants, Iterable):
         raise ValueError(f"variants must be an iterable of ids or (id, params), got {variants!r}")
@@ -201,7 +202,7 @@ def _render(
     jobs = [(one.technique, one.params) for one in bound]
     if backend == "gpu":
         _check_gpu_options(diagnosed, options[2])
-        raws = _oitlab.render_gpu(source._handle, jobs, *options[:2])
+        raws = _oitlab.render_gpu(source._handle, jobs, *options[:2], path)
     else:
         raws = _oitlab.render(source._handle, jobs, *options)
     frames = [_frame(raw, one) for raw, one in zip(raws, bound, strict=True)]

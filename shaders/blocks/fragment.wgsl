@@ -73,10 +73,15 @@ struct Fragment {
 // Corners keep all their bits: the viewport's size is a power of two.
 @vertex
 fn place(@builtin(vertex_index) index: u32, @builtin(instance_index) first_output: u32) -> Placed {
-    let primitive = &primitives[index / 3u];
-    let offset = vec2f((*primitive).corners[index % 3u] - frame.viewport_center) / (256.0 * frame.half_viewport);
+    let offset = vec2f(primitives[index / 3u].corners[index % 3u] - frame.viewport_center);
+    let position = offset / (256.0 * frame.half_viewport);
+    return placed_at(index / 3u, vec4f(position.x, -position.y, 0.5, 1.0), first_output);
+}
+
+fn placed_at(index: u32, position: vec4f, first_output: u32) -> Placed {
+    let primitive = &primitives[index];
     var placed: Placed;
-    placed.position = vec4f(offset.x, -offset.y, 0.5, 1.0);
+    placed.position = position;
     placed.depth_at = vec4f((*primitive).depth_at, (*primitive).depth_range);
     placed.depth_x = (*primitive).depth_x;
     placed.depth_y = (*primitive).depth_y;
@@ -159,7 +164,8 @@ fn mean_color(colors: array<vec4f, 3>, weights: vec3f) -> vec4f {
     return clamp(mean, least, max(max(colors[0], colors[1]), colors[2]));
 }
 
-fn varying_color_at(index: u32, d: vec2f) -> vec4f {
+// A colour that varies; none where the mask leaves the primitive out.
+fn varying_color_at(index: u32, d: vec2f, color: ptr<function, vec4f>) -> bool {
     let colors_of = varying_colors[index];
     var weights: vec3f;
     for (var i = 0; i < 3; i++) {
@@ -173,10 +179,36 @@ fn varying_color_at(index: u32, d: vec2f) -> vec4f {
         let least = min(min(alphas.x, alphas.y), alphas.z);
         let alpha = clamp(dot(weights, alphas), least, max(max(alphas.x, alphas.y), alphas.z));
         if alpha < colors_of.mask.w {
-            discard;
+            return false;
         }
     }
-    return mean_color(colors_of.corners, weights);
+    *color = mean_color(colors_of.corners, weights);
+    return true;
+}
+
+// Whether there is anything to be seen of a primitive in a pixel where its triangle is, and what.
+fn is_seen(placed: Placed, pixel: vec2u, fragment: ptr<function, Fragment>) -> bool {
+    if has_outlines && placed.meta_data.w > 0u {
+        if !outline_covers(placed.meta_data.z, placed.meta_data.w, pixel) {
+            return false;
+        }
+    }
+    let d = vec2f(vec2i(pixel) - placed.anchor.xy);
+    let depth = depth_of(placed, d);
+    if has_opaque && frame.has_opaque != 0u && depth > textureLoad(opaque_depth, pixel, 0).x {
+        return false;
+    }
+    var color = placed.color;
+    if has_varying_colors && placed.meta_data.y != NO_VARYING_COLOR {
+        if !varying_color_at(placed.meta_data.y, d, &color) {
+            return false;
+        }
+    }
+    if has_zero_fragments && !shows_zero_fragments && all(color == vec4f(0.0)) {
+        return false;
+    }
+    *fragment = Fragment(pixel, depth, color.rgb, color.a, placed.meta_data.x);
+    return true;
 }
 
 fn first_output_of(placed: Placed) -> u32 {
@@ -186,25 +218,14 @@ fn first_output_of(placed: Placed) -> u32 {
 // What is to be seen of a primitive in a pixel; nothing of what is not.
 fn fragment_of(placed: Placed) -> Fragment {
     var fragment: Fragment;
-    fragment.pixel = pixel_at(placed.position);
-    fragment.primitive = placed.meta_data.x;
     is_first_part = first_output_of(placed) == 0u;
-    if has_outlines && placed.meta_data.w > 0u && !outline_covers(placed.meta_data.z, placed.meta_data.w, fragment.pixel) {
-        discard;
-    }
-    let d = vec2f(vec2i(fragment.pixel) - placed.anchor.xy);
-    fragment.depth = depth_of(placed, d);
-    if has_opaque && frame.has_opaque != 0u && fragment.depth > textureLoad(opaque_depth, fragment.pixel, 0).x {
-        discard;
-    }
-    var color = placed.color;
-    if has_varying_colors && placed.meta_data.y != NO_VARYING_COLOR {
-        color = varying_color_at(placed.meta_data.y, d);
-    }
-    fragment.color = color.rgb;
-    fragment.alpha = color.a;
-    if has_zero_fragments && !shows_zero_fragments && all(color == vec4f(0.0)) {
+    if !is_seen(placed, pixel_at(placed.position), &fragment) {
         discard;
     }
     return fragment;
+}
+
+// Keys: the bits of the depth, which ascend with it, and the primitive.
+fn comes_before_by_depth(a: vec2u, b: vec2u) -> bool {
+    return a.x < b.x || (a.x == b.x && a.y < b.y);
 }

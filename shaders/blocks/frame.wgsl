@@ -32,8 +32,14 @@ fn background_at(pixel: vec2u) -> vec3f {
     return textureLoad(opaque_color, pixel, 0).rgb;
 }
 
-// A pixel's place in the targets of the rows at hand.
+// Targets have all rows of the image, not only those at hand.
+override targets_are_whole: bool = false;
+
+// A pixel's place in the targets.
 fn texel_of(pixel: vec2u) -> vec2u {
+    if targets_are_whole {
+        return pixel;
+    }
     return vec2u(pixel.x, pixel.y - frame.first_row);
 }
 

@@ -25,6 +25,12 @@ fn insert_node(key: vec2u, fragment: vec4f) -> u32 {
     return place;
 }
 
+fn insert_fragment(fragment: Fragment) {
+    // adding zero makes -0 the 0 that it equals
+    let key = vec2u(bitcast<u32>(fragment.depth + 0.0), fragment.primitive);
+    insert_node(key, vec4f(fragment.color, fragment.alpha));
+}
+
 // One node over another. What overflows is the largest number, so that an opaque node hides it, too.
 fn over(near: Node, far: Node) -> Node {
     let color = min(near.color + near.transmittance * far.color, vec3f(LARGEST));

@@ -89,10 +89,6 @@ fn list_of(pixel: vec2u) -> vec2u {
 // Lists are sorted as they were submitted, in which order primitive ids ascend, not by depth.
 override by_submission: bool = false;
 
-fn comes_before_by_depth(a: vec2u, b: vec2u) -> bool {
-    return a.x < b.x || (a.x == b.x && a.y < b.y);
-}
-
 fn comes_before(a: vec2u, b: vec2u) -> bool {
     if by_submission {
         return a.y < b.y;

@@ -1,8 +1,9 @@
 //! What all passes over the geometry and over the image share.
 
 use super::device::Connection;
+use super::form::tiled::RasterPath;
 use super::form::{Form, Path};
-use super::layouts::Layouts;
+use super::layouts::{Layouts, flag};
 use super::picture::{Picture, buffer, bytes_of};
 use super::recorder::{Recorder, Stage, Times};
 use crate::error::Result;
@@ -103,13 +104,28 @@ impl Gpu {
     /// # Errors
     /// [`Error::Argument`] for what the device cannot do, [`Error::Memory`] for what it has no room for, [`Error::Gpu`] and
     /// [`Error::Cancelled`].
-    pub fn image(&mut self, picture: &Picture, form: &Form, stop: Stop<'_>) -> Result<Image> {
+    pub fn image(
+        &mut self,
+        picture: &Picture,
+        form: &Form,
+        raster: RasterPath,
+        stop: Stop<'_>,
+    ) -> Result<Image> {
         if form.counts_invalid_weights() {
             self.connection.queue.write_buffer(&self.invalid_weights, 0, &[0; 4]);
         }
         let mut image = match &form.path {
+            _ if raster == RasterPath::Compute => self.tiled(picture, form, stop),
             Path::Blended(blending) => self.blended(picture, form, blending, stop),
-            Path::Listed(listing) => self.listed(picture, form, listing, stop),
+            Path::Listed(listing) => self.listed(picture, form, (listing.resolve, listing.sorted), &[], stop),
+            Path::Streamed(stream) => {
+                let constants = [
+                    ("backwards", flag(stream.backwards)),
+                    ("shows_zero_fragments", flag(form.shows_zero_fragments)),
+                ];
+                self.listed(picture, form, ("resolve_stream", stream.sorted), &constants, stop)
+            }
+            Path::Peeled(peeling) => self.peeled(picture, form, peeling, stop),
         }?;
         if form.counts_invalid_weights() {
             image.invalid_weights = self.count_invalid_weights(stop)?;
@@ -125,6 +141,13 @@ impl Gpu {
     pub(super) fn most_bytes(&self) -> u64 {
         let limits = &self.connection.limits;
         limits.max_storage_buffer_binding_size.min(limits.max_buffer_size)
+    }
+
+    /// As many rows at a time as fit into one buffer.
+    pub(super) fn bands_of_rows(&self, picture: &Picture, form: &Form) -> Vec<Range<u32>> {
+        let most = self.rows_per_band(picture, form);
+        let starts = (0..picture.height).step_by(most as usize);
+        starts.map(|first| first..(first + most).min(picture.height)).collect()
     }
 
     pub(super) fn rows_per_band(&self, picture: &Picture, form: &Form) -> u32 {
@@ -160,7 +183,7 @@ pub(super) fn resolve(
     Ok(())
 }
 
-fn texel_bytes(form: &Form) -> u64 {
+pub(super) fn texel_bytes(form: &Form) -> u64 {
     if form.colored_transmittance { 2 * TEXEL } else { TEXEL }
 }
 

@@ -6,6 +6,8 @@ use crate::format::{Format, Formats, Target};
 use crate::params::{Params, View};
 use std::ops::Range;
 
+pub mod tiled;
+
 /// A technique's entry in the registry: makes its form under params, or refuses params that have none.
 pub type MakeForm = fn(&Params, &View) -> Result<Form>;
 
@@ -107,6 +109,66 @@ pub enum Path {
     Blended(Blending),
     /// As lists, of which a compute shader makes the image.
     Listed(Listing),
+    /// One by one, into what the technique keeps of a pixel: its shader's `begin`, `take` and `finish`.
+    Streamed(Streaming),
+    /// Layer by layer, in as many passes over the geometry as there are.
+    Peeled(Peeling),
+}
+
+/// What a technique that takes fragments one by one wants of them, besides that there be any. Lists hand them over where
+/// there are lists.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Streaming {
+    /// How many layers a pixel keeps, for shaders that keep `LAYERS`.
+    pub layers: u32,
+    /// Whether it depends on the order in which they come.
+    pub is_ordered: bool,
+    /// How lists are sorted, ...
+    pub sorted: Sorting,
+    /// ... and whether they are read from their end.
+    pub backwards: bool,
+}
+
+impl Streaming {
+    /// One that keeps layers.
+    pub fn of_layers(layers: u32, is_ordered: bool) -> Self {
+        Self { layers, is_ordered, sorted: Sorting::Depth, backwards: false }
+    }
+}
+
+/// Passes over the geometry, each of which sees what the last one has left: the frontier.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Peeling {
+    /// What a pass peels.
+    pub ends: Ends,
+    /// The fragment shader's entry point.
+    pub peel: &'static str,
+    /// That of the pass over the image which composites what was peeled, and says whether there was anything.
+    pub composite: &'static str,
+    /// The compute shader's.
+    pub resolve: &'static str,
+    /// What layers in front are composited in, and those behind.
+    pub sums: Vec<BlendTarget>,
+    /// Passes, if they are limited.
+    pub passes: Option<usize>,
+}
+
+/// The layers of a pixel that a pass peels.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Ends {
+    /// The nearest one by (depth, primitive), which a depth buffer finds; the frontier is its key.
+    Nearest,
+    /// All at the nearest and at the furthest depth that are left, which MAX blending of (-depth, depth) has found in the
+    /// last pass.
+    Both,
+}
+
+/// What takes the bits of depths up to the far plane to those of window depths below 1: a power of two, as a difference of
+/// exponents. Whatever is less than 2^-126 of the far plane is at depth 0.
+pub fn window_exponent(view: &View) -> Number {
+    let Number::Float(far) = Number::float(view.far) else { unreachable!("it is a float") };
+    let exponent = far.to_bits() >> 23;
+    Number::Whole(exponent.wrapping_sub(126) << 23)
 }
 
 /// Every fragment in its pixel's list, and one pass over the image.
@@ -247,6 +309,10 @@ pub enum Blend {
     Attenuate,
     /// source there, channel by channel.
     Multiply,
+    /// alpha there × source + there.
+    Under,
+    /// source + source alpha × there, where alphas are what shows through.
+    Cover,
     /// The larger one, channel by channel.
     Max,
 }
@@ -284,7 +350,9 @@ pub mod blocks {
     /// A map of bins.
     pub const BINS: &str = include_str!("../../shaders/blocks/bins.wgsl");
 }
-
+const STREAM: &str = include_str!("../../shaders/blocks/stream.wgsl");
+const TILE_BINS: &str = include_str!("../../shaders/blocks/tile_bins.wgsl");
+const TILES: &str = include_str!("../../shaders/blocks/tiles.wgsl");
 const BACKGROUND: &str = include_str!("../../shaders/blocks/background.wgsl");
 
 /// The module that counts, stores and sorts fragments, and the one that puts the background into a target: no
@@ -345,18 +413,26 @@ impl Form {
         let constants;
         match &self.path {
             Path::Blended(blending) if !blending.blocks.is_empty() => parts.extend(blending.blocks),
-            // the blend unit's techniques may have a form with lists in the same file
+            // params may ask for lists instead, which are in the same file
             _ => parts.extend([LISTS, RANDOM, CHANCE, ABSORBANCE, SUMS_OF_LISTS]),
         }
-        if let Path::Listed(listing) = &self.path {
-            constants = listing.constants();
-            parts.push(&constants);
-            if listing.layers.is_some() {
-                parts.push(LAYERS);
+        match &self.path {
+            Path::Blended(_) => {}
+            Path::Listed(listing) => {
+                constants = listing.constants();
+                parts.push(&constants);
+                if listing.layers.is_some() {
+                    parts.push(LAYERS);
+                }
+                if listing.sizes.iter().any(|(name, _)| *name == MASK_WORDS) {
+                    parts.push(MASKS);
+                }
             }
-            if listing.sizes.iter().any(|(name, _)| *name == MASK_WORDS) {
-                parts.push(MASKS);
+            Path::Streamed(stream) => {
+                constants = format!("const LAYERS = {}u;", stream.layers);
+                parts.extend([constants.as_str(), LAYERS, STREAM]);
             }
+            Path::Peeled(_) => parts.push(BACKGROUND),
         }
         parts.push(self.shader);
         parts.join("\n")
@@ -384,6 +460,16 @@ impl BlendTarget {
     /// An array of so many of them, chosen by that param.
     pub fn array(self, param: &'static str, layers: u32) -> Self {
         Self { layers: Some((param, layers)), ..self }
+    }
+
+    /// Layers that are put under what is there, with what shows through in the alpha channel.
+    pub fn front(param: &'static str, format: Format) -> Self {
+        Self { color: Blend::Under, ..Self::sums(param, format, 4).with_share() }
+    }
+
+    /// Layers, with what shows through in the alpha channel, that are put over what is there.
+    pub fn back(param: &'static str, format: Format) -> Self {
+        Self { color: Blend::Cover, alpha: Blend::Multiply, ..Self::sums(param, format, 4).with_share() }
     }
 
     /// The same with a product of 1 − alpha in the alpha channel.
@@ -502,6 +588,10 @@ mod tests {
                     ["place", blending.resolve].into_iter().chain(draws).collect()
                 }
                 Path::Listed(listing) => vec!["place", "count_fragment", "sort_lists", listing.resolve],
+                Path::Streamed(_) => vec!["place", "count_fragment", "sort_lists", "resolve_stream"],
+                Path::Peeled(peeling) => {
+                    vec!["place", "cover_all", peeling.peel, peeling.composite, peeling.resolve]
+                }
             };
             assert!(needed.iter().all(|name| names.contains(name)), "{}: {names:?}", info.id);
             let bytes = u32::try_from(4 * form.numbers.len()).unwrap();
@@ -556,6 +646,28 @@ mod tests {
             assert!(names.contains(name), "{names}");
         }
         validated("background", &background_module());
+    }
+
+    #[test]
+    fn what_is_a_stream_of_fragments_has_a_raster_in_compute() {
+        let with_form = REGISTRY.iter().filter(|info| info.gpu.is_some());
+        let bins = tiled::bins_module();
+        let names = interface(&validated("bins", &bins)).1.join(" ");
+        assert_eq!(names, "place count_bins place_bins fill_bins fill_tiles");
+        let mut tiled = Vec::new();
+        for info in with_form.filter(|info| info.id != "lwboit") {
+            let Ok(module) = form(info, &[]).unwrap().tiled_module() else { continue };
+            let module = validated(info.id, &module);
+            let names = interface(&module).1;
+            assert!(names.contains(&"draw_tiles"), "{}: {names:?}", info.id);
+            tiled.push(info.id);
+        }
+        for id in
+            ["alpha_compositing", "painter", "weighted_sum", "wboit", "mlab", "multilayer_depth_peeling"]
+        {
+            assert!(tiled.contains(&id), "{tiled:?}");
+        }
+        assert!(!tiled.contains(&"a_buffer"));
     }
 
     #[test]

@@ -75,7 +75,8 @@ fn why_not(connection: &Connection, technique: &technique::Info) -> Option<Strin
         .and_then(|checked| make(&checked.resolve(&table, &View::ORDINARY), &View::ORDINARY));
     let fits = form.and_then(|form| match &form.path {
         Path::Blended(blending) => connection.target_formats(blending).map(drop),
-        Path::Listed(_) => Ok(()),
+        Path::Listed(_) | Path::Streamed(_) => Ok(()),
+        Path::Peeled(peeling) => connection.peeling_formats(peeling).map(drop),
     });
     fits.err().map(|error| error.to_string())
 }

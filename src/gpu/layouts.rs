@@ -10,8 +10,9 @@ use std::sync::Arc;
 use wgpu::{
     BindGroupLayout, BindGroupLayoutDescriptor, BindGroupLayoutEntry, BindingType, BlendComponent,
     BlendFactor, BlendOperation, BlendState, BufferBindingType, ColorTargetState, ColorWrites,
-    ComputePipeline, Device, Features, RenderPipeline, ShaderModule, ShaderStages, TextureFormat,
-    TextureFormatFeatureFlags, TextureSampleType, TextureUsages, TextureViewDimension,
+    ComputePipeline, DepthStencilState, Device, Features, RenderPipeline, ShaderModule, ShaderStages,
+    StorageTextureAccess, TextureFormat, TextureFormatFeatureFlags, TextureSampleType, TextureUsages,
+    TextureViewDimension,
 };
 
 /// Everything that is made once per device.
@@ -25,6 +26,12 @@ pub struct Layouts {
     targets: HashMap<Vec<Option<Reading>>, BindGroupLayout>,
     /// Group 2 of whoever keeps lists.
     pub lists: BindGroupLayout,
+    /// Group 2 of peeling: the frontier as keys or as depths, a texture, and whether anything was peeled.
+    pub peeled_keys: BindGroupLayout,
+    /// See [`Layouts::peeled_keys`].
+    pub peeled_depths: BindGroupLayout,
+    /// Group 2 of the raster in compute that writes no textures.
+    pub tiles: BindGroupLayout,
     /// Group 3: the image.
     pub output: BindGroupLayout,
     modules: HashMap<String, ShaderModule>,
@@ -91,6 +98,25 @@ pub fn flag(on: bool) -> f64 {
     f64::from(u8::from(on))
 }
 
+const WORDS: BindingType = BindingType::Texture {
+    sample_type: TextureSampleType::Uint,
+    view_dimension: TextureViewDimension::D2,
+    multisampled: false,
+};
+
+/// Group 2 of the raster in compute: what it bins, and the textures that it writes.
+pub fn tile_entries(textures: &[TextureFormat]) -> Vec<BindGroupLayoutEntry> {
+    let in_compute =
+        |binding, ty| BindGroupLayoutEntry { visibility: ShaderStages::COMPUTE, ..entry(binding, ty) };
+    let uniform = in_compute(0, buffer(BufferBindingType::Uniform));
+    let buffers = (1..7).map(|binding| in_compute(binding, buffer(WRITE)));
+    let written = (7..).zip(textures).map(|(binding, format)| {
+        let (access, view_dimension) = (StorageTextureAccess::WriteOnly, TextureViewDimension::D2);
+        in_compute(binding, BindingType::StorageTexture { access, format: *format, view_dimension })
+    });
+    std::iter::once(uniform).chain(buffers).chain(written).collect()
+}
+
 /// What a render pipeline is for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Draws {
@@ -102,7 +128,7 @@ pub enum Draws {
 
 impl Draws {
     /// The vertex shader, and constants of both shaders.
-    fn vertex(self) -> (&'static str, Vec<(&'static str, f64)>) {
+    pub fn vertex(self) -> (&'static str, Vec<(&'static str, f64)>) {
         match self {
             Self::Background => ("cover_all", vec![]),
             Self::Primitives { perspective, zero_fragments, opaque, traits } => {
@@ -143,6 +169,8 @@ impl Layouts {
         let layout = |label, entries: &[BindGroupLayoutEntry]| {
             device.create_bind_group_layout(&BindGroupLayoutDescriptor { label: Some(label), entries })
         };
+        let in_fragments =
+            |binding| BindGroupLayoutEntry { visibility: ShaderStages::FRAGMENT, ..written(binding) };
         let uniform = buffer(BufferBindingType::Uniform);
         Self {
             frame: layout(
@@ -151,7 +179,10 @@ impl Layouts {
             ),
             geometry: layout("geometry", &[0, 1, 2].map(|binding| entry(binding, buffer(READ)))),
             targets: HashMap::new(),
+            tiles: layout("tiles", &tile_entries(&[])),
             lists: layout("lists", &[0, 1, 2, 3, 4, 5].map(written)),
+            peeled_keys: layout("peeled keys", &[entry(0, WORDS), entry(1, TEXTURE), in_fragments(2)]),
+            peeled_depths: layout("peeled depths", &[entry(0, TEXTURE), entry(1, TEXTURE), in_fragments(2)]),
             output: layout("output", &[written(0)]),
             modules: HashMap::new(),
             renders: HashMap::new(),
@@ -193,17 +224,31 @@ impl Layouts {
         reads: Reads<'_>,
         targets: &[ColorTargetState],
     ) -> Arc<RenderPipeline> {
-        let key = format!("{} {draws:?} {targets:?}\n{}", shader.point, shader.module);
+        let third = self.second(device, reads);
+        self.render_with(device, shader, draws, targets, third.as_ref(), None)
+    }
+
+    /// The same with another group 2, and with a depth buffer.
+    pub fn render_with(
+        &mut self,
+        device: &Device,
+        shader: Entry<'_>,
+        draws: Draws,
+        targets: &[ColorTargetState],
+        third: Option<&BindGroupLayout>,
+        depth: Option<DepthStencilState>,
+    ) -> Arc<RenderPipeline> {
+        let key = format!("{} {draws:?} {targets:?} {depth:?}\n{}", shader.point, shader.module);
         if let Some(pipeline) = self.renders.get(&key) {
             return Arc::clone(pipeline);
         }
         let module = self.module(device, shader.module);
-        let second = self.second(device, reads);
-        let groups = [Some(&self.frame), Some(&self.geometry), second.as_ref()];
         let groups = match draws {
-            Draws::Background => &groups[..1],
-            Draws::Primitives { .. } => &groups[..2 + usize::from(second.is_some())],
+            Draws::Background => [Some(&self.frame), None, third],
+            Draws::Primitives { .. } => [Some(&self.frame), Some(&self.geometry), third],
         };
+        let used = groups.iter().rposition(Option::is_some).map_or(0, |last| last + 1);
+        let groups = &groups[..used];
         let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
             label: None,
             bind_group_layouts: groups,
@@ -225,7 +270,7 @@ impl Layouts {
                 buffers: &[],
             },
             primitive: wgpu::PrimitiveState::default(),
-            depth_stencil: None,
+            depth_stencil: depth,
             multisample: wgpu::MultisampleState::default(),
             fragment: Some(wgpu::FragmentState {
                 module: &module,
@@ -248,13 +293,27 @@ impl Layouts {
         writes_image: bool,
         constants: &[(&str, f64)],
     ) -> Arc<ComputePipeline> {
+        let third = self.second(device, reads);
+        self.compute_with(device, shader, false, third.as_ref(), writes_image, constants)
+    }
+
+    /// The same with another group 2, and with primitives.
+    pub fn compute_with(
+        &mut self,
+        device: &Device,
+        shader: Entry<'_>,
+        reads_primitives: bool,
+        third: Option<&BindGroupLayout>,
+        writes_image: bool,
+        constants: &[(&str, f64)],
+    ) -> Arc<ComputePipeline> {
         let key = format!("{} {constants:?}\n{}", shader.point, shader.module);
         if let Some(pipeline) = self.computes.get(&key) {
             return Arc::clone(pipeline);
         }
         let module = self.module(device, shader.module);
-        let second = self.second(device, reads);
-        let groups = [Some(&self.frame), None, second.as_ref(), Some(&self.output)];
+        let primitives = reads_primitives.then_some(&self.geometry);
+        let groups = [Some(&self.frame), primitives, third, Some(&self.output)];
         let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
             label: None,
             bind_group_layouts: &groups[..3 + usize::from(writes_image)],
@@ -382,6 +441,8 @@ fn component(blend: Blend) -> BlendComponent {
         Blend::Over => (BlendFactor::One, BlendFactor::OneMinusSrcAlpha),
         Blend::Attenuate => (BlendFactor::Zero, BlendFactor::OneMinusSrc),
         Blend::Multiply => (BlendFactor::Zero, BlendFactor::Src),
+        Blend::Under => (BlendFactor::DstAlpha, BlendFactor::One),
+        Blend::Cover => (BlendFactor::One, BlendFactor::SrcAlpha),
     };
     let operation = if blend == Blend::Max { BlendOperation::Max } else { BlendOperation::Add };
     BlendComponent { src_factor, dst_factor, operation }

@@ -2,7 +2,7 @@
 
 use super::device::Connection;
 use super::draw::{Gpu, Image, Stop, attachment, dispatch, draw_primitives, group, resolve};
-use super::form::{Form, Listing, Sorting, list_module};
+use super::form::{Form, Sorting, list_module};
 use super::layouts::{Entry, Layouts, Reads, plain};
 use super::picture::{Given, Picture, buffer, bytes_of, texture};
 use super::recorder::{Recorder, Stage, read};
@@ -61,7 +61,8 @@ impl Gpu {
         &mut self,
         picture: &Picture,
         form: &Form,
-        listing: &Listing,
+        (point, sorted): (&str, Sorting),
+        constants: &[(&str, f64)],
         stop: Stop<'_>,
     ) -> Result<Image> {
         let bands = self.bands_of_fragments(picture, self.rows_per_band(picture, form))?;
@@ -78,10 +79,10 @@ impl Gpu {
                 Some(given) => lists.fill(connection, given, picture, band),
                 None => draw_lists(connection, layouts, &mut recorder, picture, groups, band)?,
             }
-            sort_lists(connection, layouts, &mut recorder, picture, groups, band, listing.sorted)?;
-            let entry = Entry { module: &module, point: listing.resolve };
-            let pipeline =
-                layouts.compute(&connection.device, entry, Reads::Lists, true, &picture.knowledge());
+            sort_lists(connection, layouts, &mut recorder, picture, groups, band, sorted)?;
+            let entry = Entry { module: &module, point };
+            let constants: Vec<_> = picture.knowledge().iter().chain(constants).copied().collect();
+            let pipeline = layouts.compute(&connection.device, entry, Reads::Lists, true, &constants);
             resolve(connection, layouts, recorder, picture, form, band, &pipeline, groups, &mut image)?;
         }
         Ok(image)

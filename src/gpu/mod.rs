@@ -19,11 +19,15 @@ mod layouts;
 #[cfg(feature = "gpu")]
 mod lists;
 #[cfg(feature = "gpu")]
+mod peel;
+#[cfg(feature = "gpu")]
 mod picture;
 #[cfg(feature = "gpu")]
 mod recorder;
 #[cfg(feature = "gpu")]
 mod shared;
+#[cfg(feature = "gpu")]
+mod tiles;
 
 #[cfg(feature = "gpu")]
 pub use info::{Info, info};

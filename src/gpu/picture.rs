@@ -3,6 +3,7 @@
 use super::device::Connection;
 use super::geometry::{Packed, Traits, Viewport};
 use super::layouts::{Draws, Layouts, flag};
+use super::tiles::Planned;
 use crate::error::{Error, Result};
 use crate::raster::{Drawn, Rect};
 use wgpu::{
@@ -62,6 +63,8 @@ pub struct Picture {
     pub rows: Vec<[u32; 2]>,
     /// Fragments that are there already, instead of primitives.
     pub given: Option<Given>,
+    /// How the raster in compute cuts it up, once it has.
+    pub plan: Planned,
     /// Bytes on the device.
     pub bytes: u64,
 }
@@ -161,6 +164,7 @@ impl Picture {
             counts: buffer(connection, "counts", 4 * pixels, BufferUsages::STORAGE | BufferUsages::COPY_SRC),
             rows: Vec::new(),
             given: None,
+            plan: Planned::new(),
             bytes: 4 * pixels + if view.opaque.is_some() { 20 * pixels } else { 0 },
         };
         picture.add_primitives(connection, layouts, primitives);

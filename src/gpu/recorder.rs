@@ -7,8 +7,9 @@ use std::sync::mpsc::channel;
 use std::time::Instant;
 use wgpu::{
     Buffer, BufferUsages, CommandEncoder, CommandEncoderDescriptor, ComputePass, ComputePassDescriptor,
-    ComputePassTimestampWrites, Features, MapMode, QuerySet, QuerySetDescriptor, QueryType, RenderPass,
-    RenderPassColorAttachment, RenderPassDescriptor, RenderPassTimestampWrites,
+    ComputePassTimestampWrites, Features, LoadOp, MapMode, Operations, QuerySet, QuerySetDescriptor,
+    QueryType, RenderPass, RenderPassColorAttachment, RenderPassDepthStencilAttachment, RenderPassDescriptor,
+    RenderPassTimestampWrites, StoreOp, TextureView,
 };
 
 /// What a pass belongs to.
@@ -38,7 +39,7 @@ impl Times {
 }
 
 /// Passes that are timed by one recorder, unless it is told to expect more.
-const PASSES: u32 = 16;
+pub const PASSES: u32 = 16;
 /// Two stamps each fill a set (`wgpu` limits them to 4096).
 const MOST_PASSES: u32 = 2048;
 
@@ -86,6 +87,25 @@ impl<'a> Recorder<'a> {
         attachments: &[Option<RenderPassColorAttachment<'_>>],
         record: impl FnOnce(&mut RenderPass<'_>),
     ) -> Result<()> {
+        self.render_with_depth(stage, attachments, None, record)
+    }
+
+    /// The same with a depth buffer that is empty at first.
+    ///
+    /// # Errors
+    /// As [`Recorder::render`].
+    pub fn render_with_depth(
+        &mut self,
+        stage: Stage,
+        attachments: &[Option<RenderPassColorAttachment<'_>>],
+        depth: Option<&TextureView>,
+        record: impl FnOnce(&mut RenderPass<'_>),
+    ) -> Result<()> {
+        let depth = depth.map(|view| RenderPassDepthStencilAttachment {
+            view,
+            depth_ops: Some(Operations { load: LoadOp::Clear(1.0), store: StoreOp::Discard }),
+            stencil_ops: None,
+        });
         let first = self.next(stage);
         let stamps = self.stamps.as_ref().map(|query_set| RenderPassTimestampWrites {
             query_set,
@@ -95,7 +115,7 @@ impl<'a> Recorder<'a> {
         let mut pass = self.encoder.begin_render_pass(&RenderPassDescriptor {
             label: None,
             color_attachments: attachments,
-            depth_stencil_attachment: None,
+            depth_stencil_attachment: depth,
             timestamp_writes: stamps,
             occlusion_query_set: None,
             multiview_mask: None,

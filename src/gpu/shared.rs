@@ -3,6 +3,7 @@
 use super::device::Connection;
 use super::draw::{Gpu, Image};
 use super::form::Form;
+use super::form::tiled::RasterPath;
 use super::picture::{Given, Picture, View};
 use crate::error::Result;
 use crate::order::SubmissionOrder;
@@ -129,13 +130,14 @@ impl Shared {
         &mut self,
         key: Key,
         form: &Form,
+        raster: RasterPath,
         stop: &(dyn Fn() -> bool + Sync),
     ) -> Result<Option<(Image, (u64, u64))>> {
         let Some(place) = self.kept.iter().position(|kept| kept.key == key) else { return Ok(None) };
         let kept = self.kept.remove(place);
         self.kept.push(kept);
         let Some(Kept { picture, .. }) = self.kept.last() else { return Ok(None) };
-        let image = self.gpu.image(picture, form, stop)?;
+        let image = self.gpu.image(picture, form, raster, stop)?;
         if image.is_unfinished() {
             return Err(self.gpu.connection.cut_short());
         }

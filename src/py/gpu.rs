@@ -8,6 +8,7 @@ use super::function::Failures;
 use super::run::interruptible;
 use super::run::{AnySource, options, requests};
 use super::scene::PyScene;
+use crate::gpu::form::tiled::RasterPath;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 #[cfg(feature = "gpu")]
@@ -28,22 +29,24 @@ pub fn render_gpu<'py>(
     variants: Vec<(Named<'py>, Bound<'py, PyDict>)>,
     threads: Option<i64>,
     skip: bool,
+    path: &str,
 ) -> PyResult<Vec<PyFrame>> {
     let source = AnySource::extract(source)?;
     let failures = Failures::default();
     let requests = requests(variants, &failures)?;
     let options = options(threads, skip)?;
+    let raster = RasterPath::from_name(path)?;
     #[cfg(feature = "gpu")]
     {
         let shared = source.share();
         let frames = interruptible(py, &failures, move |stop| {
-            crate::render::render_on_gpu(shared.as_source(), &requests, &options, stop)
+            crate::render::render_on_gpu(shared.as_source(), &requests, &options, raster, stop)
         })?;
         Ok(frames.into_iter().map(|frame| PyFrame::new(frame, source.share())).collect())
     }
     #[cfg(not(feature = "gpu"))]
     {
-        _ = (py, source, requests, options);
+        _ = (py, source, requests, options, raster);
         none_here()
     }
 }

@@ -6,7 +6,8 @@ use super::{Options, Request, Source, with_threads};
 use crate::error::{Error, Result};
 use crate::fragments::{Background, Fragment, Fragments, Lists};
 use crate::frame::{Frame, Image, Sample, Stats};
-use crate::gpu::form::{Form, Path};
+use crate::gpu::form::tiled::RasterPath;
+use crate::gpu::form::{Form, Number, Path, submission};
 use crate::gpu::{Given, Key, Opaque, Shared, View, with_gpu};
 use crate::order::Reorderer;
 use crate::order::{CentroidOrder, SubmissionOrder};
@@ -40,6 +41,7 @@ pub fn render_on_gpu(
     source: Source<'_>,
     requests: &[Request],
     options: &Options,
+    raster: RasterPath,
     stop: &(dyn Fn() -> bool + Sync),
 ) -> Result<Vec<Frame>> {
     let asked = requests.iter().map(Request::check).collect::<Result<Vec<_>>>()?;
@@ -47,7 +49,7 @@ pub fn render_on_gpu(
         Source::Scene(scene) => raster::provisional_view(scene),
         Source::Fragments(fragments) => fragments.view,
     };
-    asked.iter().try_for_each(|asked| bound(asked, source, &provisional).map(drop))?;
+    asked.iter().try_for_each(|asked| bound(asked, source, &provisional, raster).map(drop))?;
     if asked.is_empty() {
         return Ok(Vec::new());
     }
@@ -59,14 +61,14 @@ pub fn render_on_gpu(
             let mut answers: Vec<(Bound, Answer)> = Vec::new();
             let mut frames = Vec::new();
             for asked in &asked {
-                let bound = bound(asked, source, &range)?;
+                let bound = bound(asked, source, &range, raster)?;
                 let same = |(other, _): &(Bound, Answer)| other.variant.is_same(&bound.variant);
                 let known = if options.skip { answers.iter().position(same) } else { None };
                 let params = bound.variant.params.clone();
                 let place = if let Some(place) = known {
                     place
                 } else {
-                    let answer = job.answer(&bound)?;
+                    let answer = job.answer(&bound, raster)?;
                     answers.push((bound, answer));
                     answers.len() - 1
                 };
@@ -131,7 +133,7 @@ fn has_opaque(scene: &Scene) -> bool {
     scene.meshes().iter().any(|mesh| !mesh.material().is_transparent())
 }
 
-fn bound(asked: &Asked, source: Source<'_>, view: &params::View) -> Result<Bound> {
+fn bound(asked: &Asked, source: Source<'_>, view: &params::View, raster: RasterPath) -> Result<Bound> {
     let (id, make) = match asked {
         Asked::Registered(info, _) => (info.id, info.gpu),
         Asked::Custom(custom) => (custom.id, None),
@@ -140,17 +142,27 @@ fn bound(asked: &Asked, source: Source<'_>, view: &params::View) -> Result<Bound
         return Err(Error::argument("backend", format!("{id:?} has no GPU form; its backends: cpu")));
     };
     let variant = asked.bind(view)?;
-    let form = make(&variant.params, view)?;
-    let order = match &form.path {
-        // they are sorted afterwards
-        Path::Listed(_) => SubmissionOrder::AsIs,
-        Path::Blended(_) => variant.order,
+    let mut form = make(&variant.params, view)?;
+    if raster == RasterPath::Compute {
+        form.tiled_module()?;
+    }
+    let order = match (&mut form.path, raster) {
+        // lists are sorted afterwards, and peeling ends ties by the order of ids, in which primitives are then drawn
+        (Path::Peeled(_), _) if matches!(source, Source::Fragments(_)) => SubmissionOrder::Sorted,
+        (Path::Listed(_) | Path::Peeled(_), _) => SubmissionOrder::AsIs,
+        (Path::Streamed(stream), _) if !stream.is_ordered => SubmissionOrder::AsIs,
+        (Path::Streamed(stream), RasterPath::Hardware) => {
+            let (sorted, backwards) = submission(&variant.params)?;
+            (stream.sorted, stream.backwards) = (sorted, backwards == Number::Whole(1));
+            SubmissionOrder::AsIs
+        }
+        (Path::Blended(_) | Path::Streamed(_), _) => variant.order,
     };
     if matches!(source, Source::Scene(_)) && !order.is_of_primitives() {
         let given = variant.params.text("submission_order");
-        let problem = format!(
-            "submission_order={given:?} sorts fragments, which blend units of the backend \"gpu\" cannot"
-        );
+        let who = if raster == RasterPath::Compute { "the path \"compute\"" } else { "blend units" };
+        let problem =
+            format!("submission_order={given:?} sorts fragments, which {who} of the backend \"gpu\" cannot");
         return Err(variant
             .params
             .error(problem, "there it is one of \"as_is\", \"reversed\", \"shuffled\", \"centroid\""));
@@ -255,12 +267,13 @@ impl<'a> Job<'a> {
         Ok(range)
     }
 
-    fn answer(&mut self, bound: &Bound) -> Result<Answer> {
-        let key = self.key(bound.order, matches!(bound.form.path, Path::Listed(_)));
+    fn answer(&mut self, bound: &Bound, raster: RasterPath) -> Result<Answer> {
+        let listed = matches!(bound.form.path, Path::Listed(_) | Path::Streamed(_));
+        let key = self.key(bound.order, listed && raster == RasterPath::Hardware);
         if !self.shared.has(key) {
             self.load(key)?;
         }
-        let drawn = self.shared.draw(key, &bound.form, self.stop)?;
+        let drawn = self.shared.draw(key, &bound.form, raster, self.stop)?;
         let Some((image, (fragments, deepest))) = drawn else { unreachable!("it was loaded") };
         let colored = bound.form.colored_transmittance;
         let (color, transmittance) = split(&image.texels, colored);

@@ -4,8 +4,11 @@ use crate::continuum::nodes::{Nodes, PEELED};
 use crate::continuum::placed::Placed;
 use crate::continuum::sums::blend;
 use crate::error::Result;
-use crate::format::Formats;
+use crate::format::{Format, Formats};
 use crate::fragments::{Fragment, List};
+use crate::gpu::form::{
+    BlendTarget, Ends, Form, Number, Path, Peeling, SHARES, target_format, window_exponent,
+};
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{
     AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties, Resolved, Streamed, Technique,
@@ -49,7 +52,7 @@ pub static INFO: Info = Info {
     geometry_passes: "passes, at most the largest depth complexity + 1 (the pass that writes nothing)",
     bytes_per_pixel: "two depths and a colour: 24 in f32, 12 in f16, 12 as rgba8 and f32",
     build,
-    gpu: None,
+    gpu: Some(gpu),
 };
 
 /// Below this transmittance `early_out` stops peeling.
@@ -70,6 +73,31 @@ fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
         return Ok(Box::new(peeling));
     }
     Ok(Box::new(Placed::new(StoredPeeling { peeling, nodes }, nodes.depths)))
+}
+
+/// Its form on a GPU: a pass over the geometry per layer, with a depth buffer.
+fn gpu(params: &Params, view: &View) -> Result<Form> {
+    let formats = Formats::from_params(INFO.targets, params);
+    let format = target_format(params, &formats, "color", "color_format", SHARES)?;
+    target_format(params, &formats, "depth", "depth_format", &[Format::F32])?;
+    let enough = if params.bool("early_out") { HARDLY_VISIBLE } else { 0.0 };
+    let passes = params.size("passes");
+    let peeling = Peeling {
+        ends: Ends::Nearest,
+        peel: "peel",
+        composite: "put_under",
+        resolve: "resolve",
+        sums: vec![BlendTarget::front("color_format", format)],
+        passes: (passes > 0).then_some(passes),
+    };
+    Ok(Form {
+        weight: None,
+        shader: include_str!("../../shaders/depth_peeling.wgsl"),
+        numbers: vec![window_exponent(view), Number::float(enough)],
+        path: Path::Peeled(peeling),
+        shows_zero_fragments: false,
+        colored_transmittance: false,
+    })
 }
 
 /// Peeling in (depth, primitive) order, so that coincident fragments are peeled one by one.

@@ -4,8 +4,11 @@ use crate::continuum::nodes::{Nodes, PEELED};
 use crate::continuum::placed::Placed;
 use crate::continuum::sums::blend;
 use crate::error::Result;
-use crate::format::Formats;
+use crate::format::{Format, Formats};
 use crate::fragments::Fragment;
+use crate::gpu::form::{
+    BlendTarget, Ends, Form, Listing, Number, Path, Peeling, Sorting, only_default_formats,
+};
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{
     AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties, Resolved, Technique,
@@ -41,7 +44,7 @@ pub static INFO: Info = Info {
     geometry_passes: "1 + passes, at most 1 + ceil(n / 2) (n = largest depth complexity)",
     bytes_per_pixel: "two depth pairs, two front colours and a back colour: 64 in f32, 32 in f16, 28 as rgba8 and f32",
     build,
-    gpu: None,
+    gpu: Some(gpu),
 };
 
 fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
@@ -57,6 +60,36 @@ fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
         return Ok(Box::new(peeling));
     }
     Ok(Box::new(Placed::new(StoredDualPeeling { peeling, nodes }, nodes.depths)))
+}
+
+/// Its form on a GPU: as published, where it goes on until nothing is left; lists, where passes are limited, since how many
+/// of the fragments at one depth are within the limit is nothing that a blend unit could know.
+fn gpu(params: &Params, _view: &View) -> Result<Form> {
+    only_default_formats(params, INFO.targets)?;
+    let passes = params.size("passes");
+    let path = if passes == 0 {
+        Path::Peeled(Peeling {
+            ends: Ends::Both,
+            peel: "peel",
+            composite: "put_over",
+            resolve: "resolve",
+            sums: vec![
+                BlendTarget::front("color_format", Format::F32),
+                BlendTarget::back("color_format", Format::F32),
+            ],
+            passes: None,
+        })
+    } else {
+        Path::Listed(Listing { resolve: "resolve_list", sorted: Sorting::Depth, layers: None, sizes: vec![] })
+    };
+    Ok(Form {
+        weight: None,
+        shader: include_str!("../../shaders/dual_depth_peeling.wgsl"),
+        numbers: vec![Number::Whole(u32::try_from(passes).unwrap_or(u32::MAX))],
+        path,
+        shows_zero_fragments: false,
+        colored_transmittance: false,
+    })
 }
 
 struct DualDepthPeeling {

@@ -8,7 +8,7 @@ use crate::continuum::nodes::{LAYERS, Nodes};
 use crate::continuum::normalize::Unnormalized;
 use crate::continuum::opacity::Alpha;
 use crate::error::Result;
-use crate::gpu::form::{Form, Listing, Path, layers, only_default_formats, submission};
+use crate::gpu::form::{Form, Path, Streaming, layers, only_default_formats};
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{AnyTechnique, Axes, Cost, Info};
 use crate::techniques::ANY_ORDER;
@@ -57,16 +57,14 @@ fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
     Ok(list.stored(nodes))
 }
 
-/// Its form on a GPU: over lists in submission order, with f32 nodes.
+/// Its form on a GPU, with f32 nodes.
 fn gpu(params: &Params, _view: &View) -> Result<Form> {
     only_default_formats(params, INFO.targets)?;
-    let (sorted, backwards) = submission(params)?;
-    let layers = Some(layers(params)?);
     Ok(Form {
         weight: None,
         shader: include_str!("../../shaders/k_buffer.wgsl"),
-        numbers: vec![backwards],
-        path: Path::Listed(Listing { resolve: "resolve", sorted, layers, sizes: vec![] }),
+        numbers: Vec::new(),
+        path: Path::Streamed(Streaming::of_layers(layers(params)?, true)),
         shows_zero_fragments: false,
         colored_transmittance: false,
     })

@@ -8,7 +8,9 @@ use crate::continuum::normalize::Unnormalized;
 use crate::continuum::opacity::Alpha;
 use crate::continuum::range::DepthRange;
 use crate::error::Result;
-use crate::gpu::form::{Form, Listing, Number, Path, Sorting, only, only_default_formats};
+use crate::gpu::form::{
+    Form, Listing, MOST_LAYERS, Number, Path, Sorting, Streaming, only, only_default_formats,
+};
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{AnyTechnique, Axes, Cost, Info, Properties};
 use crate::techniques::ANY_ORDER;
@@ -79,21 +81,23 @@ fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
     Ok(nearest.stored(nodes))
 }
 
-/// Its form on a GPU: the beginning of each list.
+/// Its form on a GPU: as many layers as all passes keep or, where they are too many, the beginning of each list.
 fn gpu(params: &Params, _view: &View) -> Result<Form> {
     only_default_formats(params, INFO.targets)?;
     only(params, "mode", "nearest")?;
     let layers = params.size("layers").saturating_mul(params.size("passes"));
+    let layers = u32::try_from(layers).unwrap_or(u32::MAX);
+    let path = if layers <= MOST_LAYERS {
+        Path::Streamed(Streaming::of_layers(layers, false))
+    } else {
+        // the shader keeps none of them
+        Path::Listed(Listing { resolve: "resolve", sorted: Sorting::Depth, layers: Some(1), sizes: vec![] })
+    };
     Ok(Form {
         weight: None,
         shader: include_str!("../../shaders/multilayer_depth_peeling.wgsl"),
-        numbers: vec![Number::Whole(u32::try_from(layers).unwrap_or(u32::MAX))],
-        path: Path::Listed(Listing {
-            resolve: "resolve",
-            sorted: Sorting::Depth,
-            layers: None,
-            sizes: vec![],
-        }),
+        numbers: vec![Number::Whole(layers)],
+        path,
         shows_zero_fragments: false,
         colored_transmittance: false,
     })

@@ -1,0 +1,134 @@
+//! Forms for the raster in compute, which hands a pixel's fragments one by one to what it keeps in registers.
+
+use super::{
+    Blend, BlendTarget, Blending, DOUBLE, FRAGMENT, FRAME, Form, LAYERS, LISTS, Path, RESOLVE, TILE_BINS,
+    TILES, WEIGHT_BOUNDS,
+};
+use crate::error::{Error, Result};
+use crate::format::Format;
+use std::fmt::Write;
+
+/// Which raster draws the primitives.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum RasterPath {
+    /// The device's own, with its blend units or with lists.
+    #[default]
+    Hardware,
+    /// Tiles in compute, with what a pixel keeps in registers.
+    Compute,
+}
+
+impl RasterPath {
+    /// The one of that name.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] if there is none.
+    pub fn from_name(name: &str) -> Result<Self> {
+        match name {
+            "hardware" => Ok(Self::Hardware),
+            "compute" => Ok(Self::Compute),
+            other => Err(Error::argument("path", format!("{other:?}; known: \"hardware\", \"compute\""))),
+        }
+    }
+}
+
+impl Form {
+    /// The shader whose `draw_tiles` is the technique's.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for what is no stream of fragments, and for targets that registers do not stand for.
+    pub fn tiled_module(&self) -> Result<String> {
+        let refused = |what: &str| {
+            let problem = format!("{what} has no form for \"compute\"; path=\"hardware\" has one");
+            Err(Error::argument("path", problem))
+        };
+        let (layers, state);
+        let mut parts = vec![FRAME, DOUBLE, FRAGMENT, WEIGHT_BOUNDS];
+        parts.extend(self.weight.iter().map(|weight| weight.text.as_str()));
+        parts.push(RESOLVE);
+        match &self.path {
+            Path::Listed(_) => return refused("what wants every fragment, sorted,"),
+            Path::Peeled(_) => return refused("peeling"),
+            Path::Streamed(stream) => {
+                layers = format!("const LAYERS = {}u;", stream.layers);
+                // a shader may have an entry point for lists, too
+                parts.extend([LISTS, layers.as_str(), LAYERS]);
+            }
+            Path::Blended(blending) => {
+                // the fragment shader's texels as a function of a fragment
+                let texels = format!("fn {}_texels(", blending.draws[0].shader);
+                if blending.draws.len() > 1 || !self.shader.contains(&texels) {
+                    return refused("this technique");
+                }
+                if let Some(target) = blending.targets.iter().find(|target| target.format != Format::F32) {
+                    let name = target.format.name();
+                    return refused(&format!("{}={name:?}, which registers are not in,", target.param));
+                }
+                state = registers(blending);
+                parts.push(&state);
+            }
+        }
+        parts.extend([self.shader, TILE_BINS, TILES]);
+        Ok(parts.join("\n"))
+    }
+}
+
+/// The module that sorts primitives into tiles: no technique's own.
+pub fn bins_module() -> String {
+    [FRAME, DOUBLE, FRAGMENT, TILE_BINS].join("\n")
+}
+
+/// The storage format of a target that stands for a texture.
+fn storage_format(target: &BlendTarget) -> &'static str {
+    if target.channels == 1 { "r32float" } else { "rgba32float" }
+}
+
+/// What render targets and blend units are where there are none: variables that go to textures in the end.
+fn registers(blending: &Blending) -> String {
+    let mut text = String::new();
+    let [mut begin, mut take, mut finish] = [const { String::new() }; 3];
+    for (i, target) in blending.targets.iter().enumerate() {
+        let binding = 7 + i;
+        let format = storage_format(target);
+        let [r, g, b, a] = target.clear.map(|x| format!("{x:?}"));
+        let over_background = i == 0 && blending.over_background;
+        let first = if over_background {
+            "vec4f(background_at(pixel), 1.0)".to_owned()
+        } else {
+            format!("vec4f({r}, {g}, {b}, {a})")
+        };
+        let (color, alpha) = (blend(target.color, i, "rgb"), blend(target.alpha, i, "a"));
+        // writing to a string does not fail
+        let _ = writeln!(
+            text,
+            "@group(2) @binding({binding}) var target_{i}: texture_storage_2d<{format}, write>;\n\
+             var<private> state_{i}: vec4f;"
+        );
+        let _ = writeln!(begin, "    state_{i} = {first};");
+        let _ = writeln!(take, "    state_{i} = vec4f({color}, {alpha});");
+        let _ = writeln!(finish, "    textureStore(target_{i}, pixel_of(id), state_{i});");
+    }
+    format!(
+        "{text}\
+         fn begin(pixel: vec2u) {{\n{begin}}}\n\
+         fn take(fragment: Fragment) {{\n    let texels = {draw}_texels(fragment);\n{take}}}\n\
+         fn finish(id: vec3u) {{\n{finish}}}",
+        draw = blending.draws[0].shader
+    )
+}
+
+/// What a blend unit makes of some channels of a texel and of the state.
+fn blend(blend: Blend, i: usize, channels: &str) -> String {
+    let (source, there) = (format!("texels[{i}].{channels}"), format!("state_{i}.{channels}"));
+    let largest = if channels == "rgb" { "vec3f(LARGEST)" } else { "LARGEST" };
+    match blend {
+        Blend::Add => format!("{source} + {there}"),
+        // what overflows can still be hidden
+        Blend::Over => format!("min({source} + (1.0 - texels[{i}].a) * {there}, {largest})"),
+        Blend::Attenuate => format!("(1.0 - {source}) * {there}"),
+        Blend::Multiply => format!("{source} * {there}"),
+        Blend::Under => format!("state_{i}.a * {source} + {there}"),
+        Blend::Cover => format!("min({source} + texels[{i}].a * {there}, {largest})"),
+        Blend::Max => format!("max({source}, {there})"),
+    }
+}

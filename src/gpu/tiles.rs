@@ -1,0 +1,372 @@
+//! The raster in compute: primitives are sorted into tiles, and a workgroup per tile draws its own.
+
+use super::device::Connection;
+use super::draw::{Gpu, Image, Stop, group, texel_bytes};
+use super::form::tiled::bins_module;
+use super::form::{Blending, Form, Path};
+use super::layouts::{Entry, Layouts, tile_entries};
+use super::picture::{Picture, buffer, bytes_of, texture};
+use super::recorder::{Recorder, Stage, Times};
+use crate::error::{Error, Result};
+use std::ops::Range;
+use std::sync::{Arc, OnceLock};
+use wgpu::{
+    BindGroup, BindGroupLayout, BindGroupLayoutDescriptor, BindingResource, Buffer, BufferUsages,
+    ComputePipeline, TextureFormat, TextureUsages, TextureView, TextureViewDescriptor,
+};
+
+/// Pixels along a tile's side.
+const TILE: u32 = 8;
+/// Primitives that a workgroup takes at a time.
+const CHUNK: u32 = 256;
+/// Bins that are filled at a time, and tiles of a bin, at most.
+const CELLS: u32 = 256;
+/// Words of what is known of a bin.
+const BIN: usize = 4;
+
+/// How an image is cut into bins, and bins into parts that are drawn one after the other.
+#[derive(Debug)]
+pub struct Plan {
+    /// Tiles along a bin's side.
+    side: u32,
+    columns: u32,
+    parts: Vec<Part>,
+}
+
+/// Some rows of bins.
+#[derive(Debug, Clone, PartialEq, Eq)]
+struct Part {
+    rows: Range<u32>,
+    /// Entries of bins, and of their tiles.
+    entries: u64,
+    tile_entries: u64,
+}
+
+/// What is known of the tiles of a picture once they have been counted.
+pub type Planned = OnceLock<Plan>;
+
+/// The buffers of one part after the other.
+struct Bins {
+    primitives: u32,
+    side: u32,
+    columns: u32,
+    geometry: BindGroup,
+    bounds: Buffer,
+    chunk_counts: Buffer,
+    bins: Buffer,
+    bin_entries: Buffer,
+    tiles: Buffer,
+    tile_entries: Buffer,
+}
+
+/// Where tiles are drawn to: group 2 has a place for it, or the image is written.
+struct Drawing<'a> {
+    module: &'a str,
+    constants: Vec<(&'static str, f64)>,
+    layout: BindGroupLayout,
+    textures: &'a [TextureView],
+    image: Option<BindGroup>,
+}
+
+impl Bins {
+    fn new(
+        gpu: &Gpu,
+        picture: &Picture,
+        (side, columns): (u32, u32),
+        (entries, tile_entries): (u64, u64),
+    ) -> Self {
+        let connection = &gpu.connection;
+        let words = |label, count: u64| {
+            buffer(connection, label, 4 * count, BufferUsages::STORAGE | BufferUsages::COPY_SRC)
+        };
+        let (geometry, primitives) = picture.batches.first().cloned().unwrap_or_else(|| {
+            let record = words("no primitives", 28);
+            let all = [(); 3].map(|()| record.as_entire_binding());
+            (group(connection, &gpu.layouts.geometry, &all), 0)
+        });
+        let cells = u64::from(CELLS);
+        Self {
+            primitives,
+            side,
+            columns,
+            geometry,
+            bounds: words("bounds", 2 * u64::from(primitives)),
+            chunk_counts: words("chunk counts", u64::from(primitives.div_ceil(CHUNK)) * cells),
+            bins: words("bins", BIN as u64 * cells),
+            bin_entries: words("bin entries", entries),
+            tiles: words("tiles", 2 * cells * cells),
+            tile_entries: words("tile entries", tile_entries),
+        }
+    }
+
+    /// Room for the largest part.
+    fn of_plan(gpu: &Gpu, picture: &Picture, plan: &Plan) -> Self {
+        let most = |of: fn(&Part) -> u64| plan.parts.iter().map(of).max().unwrap_or(0);
+        let entries = (most(|part| part.entries), most(|part| part.tile_entries));
+        Self::new(gpu, picture, (plan.side, plan.columns), entries)
+    }
+
+    /// Group 2 for some rows of bins.
+    fn group(
+        &self,
+        connection: &Connection,
+        layout: &BindGroupLayout,
+        rows: &Range<u32>,
+        textures: &[TextureView],
+    ) -> BindGroup {
+        let count = rows.end - rows.start;
+        let chunks = self.primitives.div_ceil(CHUNK);
+        let tiling = [self.primitives, chunks, self.side, self.columns, count, rows.start, 0, 0];
+        let uniform = buffer(connection, "tiling", 32, BufferUsages::UNIFORM);
+        connection.queue.write_buffer(&uniform, 0, bytes_of(&tiling));
+        let Self { bounds, chunk_counts, bins, bin_entries, tiles, tile_entries, .. } = self;
+        let all = [&uniform, bounds, chunk_counts, bins, bin_entries, tiles, tile_entries];
+        let mut resources: Vec<_> = all.iter().map(|buffer| buffer.as_entire_binding()).collect();
+        resources.extend(textures.iter().map(BindingResource::TextureView));
+        group(connection, layout, &resources)
+    }
+
+    /// Counts the entries of some rows of bins and, if there is something to draw and so room for them, puts primitives into
+    /// tiles and draws those. All is one pass: stamps between dispatches are not to be trusted everywhere.
+    fn pass(
+        &self,
+        (connection, layouts): (&Connection, &mut Layouts),
+        recorder: &mut Recorder<'_>,
+        rows: &Range<u32>,
+        frame: &BindGroup,
+        drawing: Option<(&Drawing<'_>, (u32, u32))>,
+    ) -> Result<()> {
+        let module = bins_module();
+        let layout = layouts.tiles.clone();
+        let group = self.group(connection, &layout, rows, &[]);
+        let mut kernel = |point| {
+            let entry = Entry { module: &module, point };
+            layouts.compute_with(&connection.device, entry, true, Some(&layout), false, &[])
+        };
+        let most = connection.limits.max_compute_workgroups_per_dimension;
+        let chunks = self.primitives.div_ceil(CHUNK);
+        let (wide, high) = (chunks.min(most), chunks.div_ceil(most));
+        let mut steps = vec![(kernel("count_bins"), wide, high), (kernel("place_bins"), 1, 1)];
+        if drawing.is_some() {
+            steps.push((kernel("fill_bins"), wide, high));
+            steps.push((kernel("fill_tiles"), self.columns * (rows.end - rows.start), 1));
+        }
+        let drawing = drawing.map(|(drawing, extent)| {
+            let pipeline = drawing.pipeline(connection, layouts);
+            (drawing, self.group(connection, &drawing.layout, rows, drawing.textures), pipeline, extent)
+        });
+        recorder.clear(&self.bins);
+        recorder.compute(Stage::Raster, |pass| {
+            pass.set_bind_group(0, frame, &[]);
+            pass.set_bind_group(1, &self.geometry, &[]);
+            pass.set_bind_group(2, &group, &[]);
+            for (pipeline, x, y) in &steps {
+                pass.set_pipeline(pipeline);
+                pass.dispatch_workgroups(*x, *y, 1);
+            }
+            if let Some((drawing, group, pipeline, (width, height))) = &drawing {
+                pass.set_pipeline(pipeline);
+                pass.set_bind_group(2, group, &[]);
+                if let Some(image) = &drawing.image {
+                    pass.set_bind_group(3, image, &[]);
+                }
+                pass.dispatch_workgroups(width.div_ceil(TILE), height.div_ceil(TILE), 1);
+            }
+        })
+    }
+}
+
+impl Drawing<'_> {
+    fn pipeline(&self, connection: &Connection, layouts: &mut Layouts) -> Arc<ComputePipeline> {
+        let entry = Entry { module: self.module, point: "draw_tiles" };
+        let writes_image = self.image.is_some();
+        let layout = Some(&self.layout);
+        layouts.compute_with(&connection.device, entry, true, layout, writes_image, &self.constants)
+    }
+}
+
+/// Tiles along a bin's side: few, as long as there is room for so many bins.
+fn bin_side(width: u32, height: u32) -> u32 {
+    let bins = |side: u32| width.div_ceil(TILE * side) * height.div_ceil(TILE * side);
+    if bins(8) <= CELLS { 8 } else { 16 }
+}
+
+/// The rows of pixels that rows of bins have.
+fn pixel_rows(height: u32, side: u32, rows: &Range<u32>) -> Range<u32> {
+    rows.start * side * TILE..(rows.end * side * TILE).min(height)
+}
+
+/// As many rows of bins at a time as there may be, and as there is room for: `sums` has the entries of each row's bins and
+/// tiles.
+fn parts(sums: &[(u64, u64)], most_rows: u32, most: u64, device: &str) -> Result<Vec<Part>> {
+    let mut parts: Vec<Part> = Vec::new();
+    for (row, &(entries, tile_entries)) in (0..).zip(sums) {
+        if entries.max(tile_entries) > most {
+            return Err(Error::Memory(format!(
+                "the {tile_entries} primitives in the tiles of a row; {device} keeps {most} at a time: a smaller image has \
+                 fewer, and path=\"hardware\" keeps none"
+            )));
+        }
+        let fits = |part: &&mut Part| {
+            part.rows.end - part.rows.start < most_rows
+                && part.entries + entries <= most
+                && part.tile_entries + tile_entries <= most
+        };
+        if let Some(part) = parts.last_mut().filter(fits) {
+            part.rows.end = row + 1;
+            part.entries += entries;
+            part.tile_entries += tile_entries;
+        } else {
+            parts.push(Part { rows: row..row + 1, entries, tile_entries });
+        }
+    }
+    Ok(parts)
+}
+
+impl Gpu {
+    /// How the picture is cut up, which is counted once.
+    fn plan<'a>(&mut self, picture: &'a Picture, stop: Stop<'_>) -> Result<&'a Plan> {
+        if let Some(plan) = picture.plan.get() {
+            return Ok(plan);
+        }
+        let (width, height) = (picture.width, picture.height);
+        let side = bin_side(width, height);
+        let (columns, all_rows) = (width.div_ceil(TILE * side), height.div_ceil(TILE * side));
+        // what is written at a time has to fit, too: colour and background's share
+        let row_of_bins = 32 * u64::from(width) * u64::from(side * TILE);
+        let most_rows = u32::try_from(self.most_bytes() / row_of_bins).unwrap_or(u32::MAX);
+        let most_rows = most_rows.clamp(1, CELLS / columns);
+        let bins = Bins::new(self, picture, (side, columns), (0, 0));
+        let mut sums = Vec::new();
+        for first in (0..all_rows).step_by(most_rows as usize) {
+            let rows = first..(first + most_rows).min(all_rows);
+            let frame = self.frame(picture, &pixel_rows(height, side, &rows), &[]);
+            let Self { connection, layouts, .. } = &mut *self;
+            let mut recorder = Recorder::new(connection, stop);
+            bins.pass((connection, layouts), &mut recorder, &rows, &frame, None)?;
+            let words = BIN * (columns * (rows.end - rows.start)) as usize;
+            let (counts, _): (Vec<u32>, _) = recorder.finish(&bins.bins, 4 * words as u64)?;
+            let row = |bins: &[u32]| {
+                let sum = |which| bins.iter().skip(which).step_by(BIN).map(|n| u64::from(*n)).sum();
+                (sum(1), sum(3))
+            };
+            sums.extend(counts.chunks(BIN * columns as usize).map(row));
+        }
+        let parts = parts(&sums, most_rows, self.most_bytes() / 4, &self.connection.info.name)?;
+        Ok(picture.plan.get_or_init(|| Plan { side, columns, parts }))
+    }
+
+    /// The image of a form, drawn by compute shaders alone.
+    pub(super) fn tiled(&mut self, picture: &Picture, form: &Form, stop: Stop<'_>) -> Result<Image> {
+        let module = form.tiled_module()?;
+        if picture.batches.len() > 1 {
+            let problem = format!(
+                "\"compute\" has all primitives in sight, which are more than a buffer of {} holds; path=\"hardware\" draws \
+                 them in parts",
+                self.connection.info.name
+            );
+            return Err(Error::argument("path", problem));
+        }
+        let plan = self.plan(picture, stop)?;
+        let (_, constants) = picture.draws(form.shows_zero_fragments).vertex();
+        let layout = self.layouts.tiles.clone();
+        let drawing = Drawing { module: &module, constants, layout, textures: &[], image: None };
+        match &form.path {
+            Path::Blended(blending) => self.tiled_targets(picture, form, blending, plan, drawing, stop),
+            _ => self.tiled_image(picture, form, plan, drawing, stop),
+        }
+    }
+
+    /// Draws what blend units would leave, and resolves it.
+    fn tiled_targets(
+        &mut self,
+        picture: &Picture,
+        form: &Form,
+        blending: &Blending,
+        plan: &Plan,
+        drawing: Drawing<'_>,
+        stop: Stop<'_>,
+    ) -> Result<Image> {
+        let format = |channels| match channels {
+            1 => TextureFormat::R32Float,
+            _ => TextureFormat::Rgba32Float,
+        };
+        let formats: Vec<_> = blending.targets.iter().map(|target| format(target.channels)).collect();
+        let usage = TextureUsages::STORAGE_BINDING | TextureUsages::TEXTURE_BINDING;
+        let view = |format: &TextureFormat| {
+            let size = (picture.width, picture.height);
+            let target = texture(&self.connection, "target", size, *format, usage);
+            target.create_view(&TextureViewDescriptor::default())
+        };
+        let textures: Vec<_> = formats.iter().map(view).collect();
+        let entries = tile_entries(&formats);
+        let descriptor = BindGroupLayoutDescriptor { label: Some("tiles"), entries: &entries };
+        let layout = self.connection.device.create_bind_group_layout(&descriptor);
+        let drawing = Drawing { layout, textures: &textures, ..drawing };
+        let params: Vec<_> = form.numbers.iter().map(|number| number.bits()).collect();
+        let bins = Bins::of_plan(self, picture, plan);
+        let mut times = Times::default();
+        for part in &plan.parts {
+            let rows = pixel_rows(picture.height, plan.side, &part.rows);
+            let frame = self.frame(picture, &rows, &params);
+            let Self { connection, layouts, .. } = &mut *self;
+            let mut recorder = Recorder::new(connection, stop);
+            let extent = (picture.width, rows.end - rows.start);
+            let drawing = Some((&drawing, extent));
+            bins.pass((connection, layouts), &mut recorder, &part.rows, &frame, drawing)?;
+            // what is read back says no more than that it is done
+            let (_, spent) = recorder.finish::<u32>(&bins.bins, 4)?;
+            times = times.plus(spent);
+        }
+        let mut image = Image { times, ..Image::default() };
+        self.resolve_targets(picture, form, blending.resolve, &textures, &mut image, stop)?;
+        Ok(image)
+    }
+
+    /// Draws the image itself.
+    fn tiled_image(
+        &mut self,
+        picture: &Picture,
+        form: &Form,
+        plan: &Plan,
+        mut drawing: Drawing<'_>,
+        stop: Stop<'_>,
+    ) -> Result<Image> {
+        let params: Vec<_> = form.numbers.iter().map(|number| number.bits()).collect();
+        let bins = Bins::of_plan(self, picture, plan);
+        let mut image = Image::default();
+        for part in &plan.parts {
+            let rows = pixel_rows(picture.height, plan.side, &part.rows);
+            let frame = self.frame(picture, &rows, &params);
+            let Self { connection, layouts, .. } = &mut *self;
+            let extent = (picture.width, rows.end - rows.start);
+            let bytes = texel_bytes(form) * u64::from(extent.0) * u64::from(extent.1);
+            let usage = BufferUsages::STORAGE | BufferUsages::COPY_SRC;
+            let output = buffer(connection, "image", bytes, usage);
+            drawing.image = Some(group(connection, &layouts.output, &[output.as_entire_binding()]));
+            let mut recorder = Recorder::new(connection, stop);
+            let drawing = Some((&drawing, extent));
+            bins.pass((connection, layouts), &mut recorder, &part.rows, &frame, drawing)?;
+            let (texels, times): (Vec<f32>, _) = recorder.finish(&output, bytes)?;
+            image.texels.extend(texels);
+            image.times = image.times.plus(times);
+        }
+        Ok(image)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bins_are_few_enough_or_come_in_parts() {
+        assert_eq!((bin_side(1280, 720), bin_side(3840, 2160), bin_side(1, 1)), (8, 16, 8));
+        assert_eq!(pixel_rows(720, 8, &(11..12)), 704..720);
+        let sums = [(1, 4), (2, 4), (1, 9), (0, 0), (0, 0), (0, 0)];
+        let part = |rows, entries, tile_entries| Part { rows, entries, tile_entries };
+        let cut = parts(&sums, 3, 10, "it").unwrap();
+        assert_eq!(cut, [part(0..2, 3, 8), part(2..5, 1, 9), part(5..6, 0, 0)]);
+        assert!(parts(&sums, 3, 8, "it").unwrap_err().to_string().contains("the 9 primitives in the tiles"));
+    }
+}

@@ -1,0 +1,251 @@
+"""The raster in compute against the device's own: the same pixels, and the same images but for rounding."""
+
+import re
+from typing import Any
+
+import numpy as np
+import pytest
+
+import oitlab
+from gpu_scenes import (
+    CLIPPED,
+    DEVICE,
+    F32,
+    PERSPECTIVE,
+    ROUNDINGS,
+    SCENES,
+    VARYING_COLOR,
+    WHY_NOT,
+    around,
+    mesh_of,
+    scene_of,
+    tolerance,
+)
+from test_gpu import with_environment
+
+pytestmark = pytest.mark.skipif(DEVICE is None, reason=WHY_NOT)
+
+BLENDED = (
+    "alpha_compositing",
+    "painter",
+    "weighted_sum",
+    "weighted_average",
+    "blended_oit",
+    "wboit",
+    "phenomenological",
+)
+STREAMED = ("mlab", "k_buffer", "multilayer_depth_peeling")
+TILED = BLENDED + STREAMED
+
+
+def on_paths(
+    scene: oitlab.Scene, technique: str, params: dict[str, Any] | None = None
+) -> tuple[oitlab.Frame, oitlab.Frame]:
+    compute = oitlab.gpu.render(scene, technique, params, path="compute")
+    return compute, oitlab.gpu.render(scene, technique, params)
+
+
+def agree(scene: oitlab.Scene, technique: str, params: dict[str, Any] | None = None) -> oitlab.Frame:
+    got, expected = on_paths(scene, technique, params)
+    limit = tolerance(scene, expected)
+    np.testing.assert_allclose(got.color, expected.color, rtol=0, atol=limit)
+    np.testing.assert_allclose(got.transmittance, expected.transmittance, rtol=0, atol=limit)
+    assert got.stats.fragments == expected.stats.fragments
+    return got
+
+
+@pytest.mark.parametrize("technique", TILED)
+@pytest.mark.parametrize("name", SCENES)
+def test_images_are_those_of_the_other_path_and_of_the_cpu(name: str, technique: str) -> None:
+    scene = SCENES[name]
+    got = agree(scene, technique)
+    expected = oitlab.render(scene, technique)
+    varies = 4 * VARYING_COLOR if name in (*CLIPPED, "smooth", "masked") else 0.0
+    assert np.abs(got.color - expected.color).max() <= tolerance(scene, expected) + varies
+    assert (got.technique, got.params, got.scene_hash) == (
+        expected.technique,
+        expected.params,
+        expected.scene_hash,
+    )
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_coverage_is_that_of_the_cpu(name: str) -> None:
+    """A fragment of weight one each: the sum of alphas counts fragments where each has the alpha 2^-12."""
+    scene = SCENES[name]
+    faint = [oitlab.Mesh(m.vertices, m.faces, color=(1, 1, 1, 2.0**-12)) for m in scene.meshes]
+    counted = oitlab.Scene(
+        faint, camera=scene.camera, width=scene.width, height=scene.height, background=(0, 0, 0)
+    )
+    got = oitlab.gpu.render(counted, "weighted_sum", path="compute")
+    counts = np.diff(oitlab.capture(counted).offsets).reshape(scene.height, scene.width)
+    np.testing.assert_array_equal(got.color[..., 0] * 2**12, counts)
+    np.testing.assert_array_equal((1 - got.transmittance) * 2**12, counts)
+
+
+@pytest.mark.parametrize("order", ["as_is", "reversed", "shuffled", "centroid"])
+@pytest.mark.parametrize("technique", ["alpha_compositing", "mlab", "k_buffer"])
+def test_orders_of_primitives_are_those_of_the_cpu(technique: str, order: str) -> None:
+    scene = SCENES["blades" if technique == "alpha_compositing" else "squares"]
+    params = {"submission_order": order, "seed": 3}
+    got = oitlab.gpu.render(scene, technique, params, path="compute")
+    expected = oitlab.render(scene, technique, params)
+    assert np.abs(got.color - expected.color).max() <= tolerance(scene, expected)
+
+
+@pytest.mark.parametrize("technique", STREAMED)
+def test_any_number_of_layers_is_kept(technique: str) -> None:
+    for layers in (1, 2, 5, 32):
+        agree(SCENES["squares"], technique, {"layers": layers})
+
+
+@pytest.mark.parametrize("layout", ["listing3", "listing4", "monochrome"])
+@pytest.mark.parametrize("weight", ["mb7", "inv_pow"])
+def test_every_layout_has_registers(layout: str, weight: str) -> None:
+    agree(SCENES["opaque"], "wboit", {"layout": layout, "weight": weight})
+    agree(SCENES["opaque"], "phenomenological", {"transmission": (0.9, 0.5, 0.0)})
+
+
+def test_hundreds_of_primitives_in_a_tile_come_in_the_order_of_submission() -> None:
+    """More than a chunk has room for, over images of parts of tiles and of bins."""
+    rng = np.random.default_rng(4)
+    scene = scene_of(mesh_of(around(rng, 3000, 2.0, 1.5), rng))
+    for size in ((1, 1), (1, 300), (517, 3), (9, 8), (65, 129), (1100, 5)):
+        sized = scene.replace(width=size[0], height=size[1])
+        agree(sized, "alpha_compositing")
+    assert len(np.unique(oitlab.capture(scene.replace(width=8, height=8)).primitive)) > 3 * 256
+
+
+def test_large_images_are_drawn_in_parts() -> None:
+    """Bins are of 64 pixels, of 128 where those would be too many, and in parts where these are."""
+    rng = np.random.default_rng(8)
+    scene = scene_of(mesh_of(around(rng, 40, 2.0, 1.0), rng))
+    for size in ({"width": 1500, "height": 1500}, {"width": 4100, "height": 1100}):
+        agree(scene.replace(**size), "weighted_sum")
+
+
+EDGES = [
+    # corners and edges on pixel centres, horizontal and vertical, of both windings
+    [(0.5, 0.5), (8.5, 0.5), (0.5, 8.5)],
+    [(8.5, 0.5), (0.5, 0.5), (0.5, 8.5)],
+    [(8.5, 8.5), (0.5, 8.5), (8.5, 0.5)],
+    [(16.5, 16.5), (24.5, 20.5), (16.5, 24.5)],
+    [(32.5, 4.5), (40.5, 4.5), (36.5, 12.5)],
+    [(32.5, 20.5), (40.5, 20.5), (36.5, 12.5)],
+    # nothing, and hardly anything
+    [(10.5, 30.5), (20.5, 30.5), (30.5, 30.5)],
+    [(10.5, 40.5), (20.5, 40.505), (30.5, 40.51)],
+]
+
+
+def test_edges_belong_to_one_side() -> None:
+    camera = oitlab.Camera(
+        eye=(0, 0, 5), target=(0, 0, 0), up=(0, 1, 0), ortho_height=48.0, near=0.5, far=12.0
+    )
+    corners = np.array([[(x - 32, 24 - y, 0.0) for x, y in triangle] for triangle in EDGES])
+    mesh = oitlab.Mesh(
+        corners.reshape(-1, 3), np.arange(3 * len(EDGES)).reshape(-1, 3), color=(1, 1, 1, 2.0**-12)
+    )
+    scene = scene_of(mesh, camera=camera).replace(background=(0, 0, 0))
+    got = oitlab.gpu.render(scene, "weighted_sum", path="compute")
+    counts = np.diff(oitlab.capture(scene).offsets).reshape(48, 64)
+    np.testing.assert_array_equal(got.color[..., 0] * 2**12, counts)
+    assert counts.sum() > 100
+
+
+def test_calls_repeat_to_the_bit_and_say_how_long_they_took() -> None:
+    scene = SCENES["soup"]
+    first, again = (oitlab.gpu.render(scene, "k_buffer", path="compute") for _ in range(2))
+    np.testing.assert_array_equal(first.color, again.color)
+    assert first.stats.raster_ms > 0
+    assert first.stats.backend == "gpu"
+
+
+@pytest.mark.parametrize(
+    ("technique", "params", "message"),
+    [
+        ("a_buffer", {}, 'what wants every fragment, sorted, has no form for "compute"'),
+        ("depth_peeling", {}, 'peeling has no form for "compute"; path="hardware" has one'),
+        ("multilayer_depth_peeling", {"layers": 33}, 'has no form for "compute"'),
+        ("wboit", {"format": "f16"}, 'accumulation_format="f16", which registers are not in, has no form'),
+        ("mlab", {"submission_order": "sorted"}, 'sorts fragments, which the path "compute"'),
+        ("slab", {}, "'slab' has no GPU form yet"),
+    ],
+)
+def test_what_is_no_stream_of_fragments_is_refused(
+    technique: str, params: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(ValueError, match=re.escape(message)):
+        oitlab.gpu.render(SCENES["blades"], technique, params, path="compute")
+
+
+def test_paths_and_scenes_that_are_none_are_refused() -> None:
+    with pytest.raises(ValueError, match=re.escape('path: "tiles"; known: "hardware", "compute"')):
+        oitlab.gpu.render(SCENES["blades"], "wboit", path="tiles")  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="scene must be a Scene, got int"):
+        oitlab.gpu.render(3, "wboit")  # type: ignore[arg-type]
+
+
+SMALL_BUFFERS = """
+import numpy as np, oitlab
+def both(scene):
+    return [oitlab.gpu.render(scene, "weighted_sum", path=path).color for path in ("hardware", "compute")]
+pane = [((-99, -99, 0), (99, -99, 0), (0, 99, 0))]
+def panes(count):
+    faces = np.arange(3 * count).reshape(-1, 3)
+    mesh = oitlab.Mesh(np.reshape(pane * count, (-1, 3)), faces, color=(1, 1, 1, 0.125))
+    return oitlab.Scene([mesh], camera=oitlab.Camera(eye=(0, 0, 5)), width=40, height=100)
+# 5 x 8 tiles in the first row of bins, 5 x 5 in the second: 4096 entries fit, those of both rows do not
+np.testing.assert_allclose(*both(panes(70)), rtol=0, atol=1e-5)
+in_a_row, in_parts = "primitives in the tiles of a row", "draws them in parts"
+for count, error, words in ((120, MemoryError, in_a_row), (400, ValueError, in_parts)):
+    try:
+        both(panes(count))
+    except error as problem:
+        assert words in str(problem), problem
+    else:
+        raise SystemExit(f"{count} panes were drawn")
+"""
+
+
+def test_what_does_not_fit_into_buffers_is_drawn_in_parts_or_refused() -> None:
+    done = with_environment(SMALL_BUFFERS, OITLAB_GPU_BUFFER_BYTES="16384")
+    assert done.returncode == 0, done.stderr
+
+
+def test_what_does_nothing_is_shown_to_whom_it_is_on_the_cpu() -> None:
+    rng = np.random.default_rng(1)
+    colors = rng.random((40, 4))
+    colors[::2, 3] = 0
+    corners = around(rng, 40, 1.0, 2.0)
+    mesh = oitlab.Mesh(corners.reshape(-1, 3), np.arange(120).reshape(-1, 3), face_colors=colors)
+    scene = scene_of(mesh, camera=PERSPECTIVE)
+    for technique in ("weighted_average", "blended_oit", "k_buffer", "multilayer_depth_peeling"):
+        got = agree(scene, technique)
+        expected = oitlab.render(scene, technique)
+        limit = (expected.stats.depth_complexity_max + ROUNDINGS) * 2 * F32
+        np.testing.assert_allclose(got.color, expected.color, rtol=0, atol=limit)
+
+
+def test_what_overflows_can_still_be_hidden() -> None:
+    """On this path also by alpha compositing, whose blend unit multiplies infinity by nothing."""
+    pane = np.array([(-3.0, -2, 0), (3, -2, 0), (0, 4, 0)])
+    glow = [
+        oitlab.Mesh(pane - (0, 0, z), [(0, 1, 2)], color=(0, 0, 0, 0), emission=(3e38, 3e38, 3e38))
+        for z in (2, 1, 0.5)
+    ]
+    wall = oitlab.Mesh(pane, [(0, 1, 2)], color=(0.5, 0.5, 0.5, 1.0))
+    glass = oitlab.Mesh(pane - (0, 0, -1), [(0, 1, 2)], color=(0.1, 0.2, 0.3, 0.5))
+    scene = scene_of(*glow, wall, glass)
+    expected = oitlab.render(scene, "a_buffer").color
+    for technique in ("alpha_compositing", "mlab", "multilayer_depth_peeling"):
+        got = oitlab.gpu.render(scene, technique, path="compute").color
+        np.testing.assert_allclose(got[24, 32], expected[24, 32], rtol=1e-6)
+    for technique, params in (
+        ("mlab", {"layers": 1}),
+        ("depth_peeling", {}),
+        ("dual_depth_peeling", {}),
+        ("dual_depth_peeling", {"passes": 9}),
+    ):
+        got = oitlab.render(scene, technique, params, backend="gpu").color
+        np.testing.assert_allclose(got[24, 32], expected[24, 32], rtol=1e-6)
