@@ -28,6 +28,16 @@ pytestmark = pytest.mark.skipif(DEVICE is None, reason=WHY_NOT)
 IDS = [entry.id for entry in oitlab.techniques() if "gpu" in entry.backends]
 PARAMS: dict[str, dict[str, Any]] = {"lwboit": {"storage": "ll"}, "avsm": {"nodes_format": "f32"}}
 
+# Shares of pixels where rounding does not change what a technique decides: which of two centres is nearer,
+# whether a vertex lies within eps, how many samples an alpha covers that the device has interpolated.
+DECIDING = {
+    "density_clustering": 0.99,
+    "deep_shadow_maps": 0.99,
+    "screen_door": 0.999,
+    "slab": 0.999,
+    "stochastic_transparency": 0.999,
+}
+
 
 def test_the_device_is_described() -> None:
     assert DEVICE is not None
@@ -36,7 +46,7 @@ def test_the_device_is_described() -> None:
     assert DEVICE.limits["image_side"] >= 8192
     known = set(oitlab.techniques().ids)
     assert set(DEVICE.techniques) | set(DEVICE.refused) == known
-    assert DEVICE.refused["slab"] == "has no GPU form yet"
+    assert DEVICE.refused["tfm"] == "has no GPU form yet"
     assert DEVICE.refused["lwboit"].startswith('lwboit: storage="lr" has no form')
     assert {technique for technique, why in DEVICE.refused.items() if "no GPU form" in why} == known - set(
         IDS
@@ -74,8 +84,10 @@ def test_images_are_those_of_the_cpu_in_single_precision(name: str, technique: s
     expected = oitlab.render(scene, technique, params)
     varies = 4 * VARYING_COLOR if name in (*CLIPPED, "smooth", "masked") else 0.0
     limit = tolerance(scene, expected) + varies
-    assert np.abs(got.color - expected.color).max() <= limit
-    assert np.abs(got.transmittance - expected.transmittance).max() <= limit
+    share = DECIDING.get(technique, 1.0)
+    off = np.abs(got.transmittance - expected.transmittance).reshape(48, 64, -1)
+    off = np.maximum(np.abs(got.color - expected.color), off).max(axis=-1)
+    assert (off <= limit).mean() >= share, (off.max(), limit)
     assert got.color.dtype == np.float32
     assert got.transmittance.shape == expected.transmittance.shape
     assert (got.params, got.technique, got.scene_hash) == (
@@ -270,7 +282,7 @@ def test_a_device_that_is_not_there_is_an_error_that_helps() -> None:
 @pytest.mark.parametrize(
     ("technique", "params", "keywords", "message"),
     [
-        ("slab", {}, {}, "'slab' has no GPU form yet; its backends: cpu"),
+        ("tfm", {}, {}, "'tfm' has no GPU form yet; its backends: cpu"),
         ("lwboit", {}, {}, 'lwboit: storage="lr" has no form'),
         ("lwboit", {"storage": "ll", "partition": "absorbance"}, {}, 'partition="absorbance" has no form'),
         ("lwboit", {"storage": "ll", "capacity": 3}, {}, "there capacity is 0"),

@@ -1,4 +1,4 @@
-"""Forms over lists of samples, stochastic layers, clusters, polylines and the continuum against the CPU backend."""
+"""Forms over lists: samples, stochastic layers, clusters, polylines and the continuum against the CPU."""
 
 import itertools
 import re
@@ -14,13 +14,13 @@ pytestmark = pytest.mark.skipif(DEVICE is None, reason=WHY_NOT)
 
 Params = dict[str, Any]
 
-# Scenes of one colour per face: there depths and alphas, and so random masks, are the CPU's to the bit but for one depth in
-# thousands.
+# Scenes of one colour per face: there depths and alphas, and so random masks, are the CPU's to the bit but for
+# one depth in thousands.
 FACETED = ["squares", "blades", "soup", "opaque", "empty"]
 
 
 def assert_same(name: str, technique: str, params: Params, share: float = 1.0, factor: float = 1.0) -> None:
-    """Compare a share of all pixels within the rounding of f32 sums; `factor` is what a form magnifies that by."""
+    """Compare a share of all pixels, within the rounding of f32 sums times what a form magnifies it by."""
     scene = SCENES[name]
     got = oitlab.render(scene, technique, params, backend="gpu")
     expected = oitlab.render(scene, technique, params)
@@ -84,7 +84,7 @@ def test_alphas_at_a_threshold_are_decided_as_on_the_cpu() -> None:
 
 
 def coincident() -> oitlab.Scene:
-    """Make panes in one plane, told apart by their primitive ids, in front of an opaque one; some only emit or cover nothing."""
+    """Make panes in one plane, in front of an opaque one; some emit alone, some do nothing."""
     alphas = [0.5, 0.0, 1.0, 0.25, 0.75, 0.0, 0.5]
     rng = np.random.default_rng(3)
     panes = [
@@ -181,8 +181,8 @@ def test_weighted_sums_in_halves_are_close() -> None:
     np.testing.assert_allclose(got.color, expected.color, rtol=0, atol=limit)
 
 
-# A cluster may be 2 sqrt(3) 1e-4 of the pixel's depths wide, and its edge magnifies the rounding of a position as much; of
-# fragments as near to one centre as to another it is rounding that decides.
+# A cluster may be 2 sqrt(3) 1e-4 of the pixel's depths wide, and its edge magnifies the rounding of a position
+# as much; of fragments as near to one centre as to another it is rounding that decides.
 EDGE = 1 / (2 * 3**0.5 * 1e-4)
 CLUSTERED = 0.99
 
@@ -202,8 +202,8 @@ def test_lone_fragments_do_not_hide_themselves_in_a_cluster() -> None:
     np.testing.assert_allclose(got.color, exact.color, rtol=0, atol=1e-6)
 
 
-# Where a vertex lies on the edge of what eps allows, or two triangles are equal, rounding decides what is kept; either is a
-# polyline as good as the other.
+# Where a vertex lies on the edge of what eps allows, or two triangles are equal, rounding decides what is kept;
+# either is a polyline as good as the other.
 COMPRESSED = 0.99
 
 
@@ -250,7 +250,7 @@ def compositions(scene: oitlab.Scene, more: Params) -> list[tuple[Params, oitlab
     """Render all that have a meaning on the CPU."""
     found = []
     for choices in itertools.product(*AXES.values()):
-        params = dict(zip(AXES, choices, strict=True)) | more
+        params: Params = dict(zip(AXES, choices, strict=True)) | more
         if params["merge"] == "over_arrival":
             params["layers"] = 1
         try:
