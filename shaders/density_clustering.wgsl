@@ -116,7 +116,7 @@ fn seen_at(d: f32) -> f32 {
             tau += absorbed[j];
         }
     }
-    return transmittance_of(tau);
+    return seen_through(tau);
 }
 
 @compute @workgroup_size(8, 8)
@@ -142,6 +142,6 @@ fn resolve(@builtin(global_invocation_id) id: vec3u) {
         let seen = seen_at(position_of(place));
         sums = with_fragment(sums, weight_seen(params.composite, seen), colors[place]);
     }
-    let all = composite_sums(params.composite, sums, transmittance_of(tau), background);
+    let all = composite_sums(params.composite, sums, seen_through(tau), background);
     store(id, all.rgb, all.a);
 }

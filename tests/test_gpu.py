@@ -31,6 +31,16 @@ IDS = [entry.id for entry in oitlab.techniques() if "gpu" in entry.backends]
 # coincide: a tenth of what M18's implementations differ by for nearly all pixels, and a fifth of it at worst.
 CONFORMS = {"mboit_power": (2e-4, 2e-2), "mboit_trig": (2e-4, 2e-2)}
 
+# Shares of pixels where rounding does not change what a technique decides: which of two centres is nearer,
+# whether a vertex lies within eps, how many samples an alpha covers that the device has interpolated.
+DECIDING = {
+    "density_clustering": 0.99,
+    "deep_shadow_maps": 0.99,
+    "screen_door": 0.999,
+    "slab": 0.999,
+    "stochastic_transparency": 0.999,
+}
+
 
 def test_the_device_is_described() -> None:
     assert DEVICE is not None
@@ -39,7 +49,6 @@ def test_the_device_is_described() -> None:
     assert DEVICE.limits["image_side"] >= 8192
     known = set(oitlab.techniques().ids)
     assert set(DEVICE.techniques) | set(DEVICE.refused) == known
-    assert DEVICE.refused["slab"] == "has no GPU form yet"
     assert {technique for technique, why in DEVICE.refused.items() if "no GPU form" in why} == known - set(
         IDS
     )
@@ -76,10 +85,11 @@ def test_images_are_those_of_the_cpu_in_single_precision(name: str, technique: s
     varies = 4 * VARYING_COLOR if name in (*CLIPPED, "smooth", "masked") else 0.0
     limit = tolerance(scene, expected) + varies
     most, worst = CONFORMS.get(technique, (limit, limit))
-    off = np.abs(got.color - expected.color)
-    assert np.quantile(off, 0.95) <= most
-    assert off.max() <= worst
-    assert np.abs(got.transmittance - expected.transmittance).max() <= limit
+    share = DECIDING.get(technique, 0.95 if technique in CONFORMS else 1.0)
+    off = np.abs(got.transmittance - expected.transmittance).reshape(48, 64, -1)
+    off = np.maximum(np.abs(got.color - expected.color), off).max(axis=-1)
+    assert (off <= most).mean() >= share, (off.max(), most)
+    assert technique in DECIDING or off.max() <= worst
     assert got.color.dtype == np.float32
     assert got.transmittance.shape == expected.transmittance.shape
     assert (got.params, got.technique, got.scene_hash) == (
@@ -277,7 +287,6 @@ def test_a_device_that_is_not_there_is_an_error_that_helps() -> None:
 @pytest.mark.parametrize(
     ("technique", "params", "keywords", "message"),
     [
-        ("slab", {}, {}, "'slab' has no GPU form yet; its backends: cpu"),
         ("lwboit", {"storage": "ll", "partition": "absorbance"}, {}, 'partition="absorbance" has no form'),
         ("lwboit", {"storage": "ll", "capacity": 3}, {}, "there capacity is 0"),
         ("mlab", {"layers": 33}, {}, "layers is at most 32"),

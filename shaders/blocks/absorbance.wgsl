@@ -15,6 +15,6 @@ fn absorbance_of(alpha: f32, s_max: f32) -> f32 {
     return min(2.0 * x * series, s_max);
 }
 
-fn transmittance_of(absorbance: f32) -> f32 {
+fn seen_through(absorbance: f32) -> f32 {
     return exp(-max(absorbance, 0.0));
 }

@@ -9,7 +9,7 @@ var<private> tau: f32;
 fn end_bin() {
     if params.merge == SUM {
         tau += bin_absorbance;
-        core.y = transmittance_of(tau);
+        core.y = seen_through(tau);
     } else {
         // FEE21 eq. 4
         if bin_sums.weighted.a > 0.0 {
