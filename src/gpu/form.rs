@@ -224,7 +224,7 @@ impl Listing {
     fn constants(&self) -> String {
         let layers = self.layers.map(|count| ("LAYERS", count));
         let all = layers.iter().chain(&self.sizes);
-        all.map(|(name, size)| format!("const {name} = {size}u;\n")).collect()
+        all.map(|(name, size)| format!("const {name} = {size}u;\n")).collect::<Vec<_>>().concat()
     }
 }
 
