@@ -237,6 +237,14 @@ for technique in oitlab.gpu.info().techniques:
     # moments are less like each other
     limit = 1e-2 if technique.startswith("mboit") else 1e-5
     np.testing.assert_allclose(pair[0].color, pair[1].color, rtol=0, atol=limit)
+pair = [oitlab.render(scene, "lwboit", {"bins": 512}, backend=backend) for backend in ("cpu", "gpu")]
+np.testing.assert_allclose(pair[0].color, pair[1].color, rtol=0, atol=1e-5)
+try:
+    oitlab.render(scene, "occupancy_maps", {"bits": 65536}, backend="gpu")
+except MemoryError as error:
+    assert "the 2048 words of each of a row's 24 pixels" in str(error), error
+else:
+    sys.exit("words beyond the device were kept")
 try:
     oitlab.render(scene.replace(width=640, height=480), "wboit", backend="gpu")
 except ValueError as error:

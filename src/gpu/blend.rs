@@ -193,6 +193,27 @@ fn reads(readings: &[Option<Reading>]) -> Reads<'_> {
     if readings.iter().all(Option::is_none) { Reads::Nothing } else { Reads::Targets(readings) }
 }
 
+/// Attachments, (target, layer), in parts of at most so many and of so many bytes.
+fn in_parts(
+    attachments: impl Iterator<Item = (usize, usize)>,
+    formats: &[Option<TextureFormat>],
+    most: u32,
+    most_bytes: u32,
+) -> Vec<Vec<(usize, usize)>> {
+    let bytes =
+        |part: &[(usize, usize)]| attachment_bytes(part.iter().filter_map(|(target, _)| formats[*target]));
+    let (mut parts, mut part) = (Vec::new(), Vec::new());
+    for attached in attachments {
+        part.push(attached);
+        if part.len() > 1 && (part.len() > most as usize || bytes(&part) > most_bytes) {
+            part.pop();
+            parts.push(std::mem::replace(&mut part, vec![attached]));
+        }
+    }
+    parts.push(part);
+    parts
+}
+
 impl Job<'_> {
     fn run(&self, layouts: &mut Layouts, stop: Stop<'_>, image: &mut Image) -> Result<()> {
         let parts: Vec<_> = self.blending.draws.iter().map(|draw| self.parts(draw)).collect();
@@ -258,21 +279,8 @@ impl Job<'_> {
             return vec![all.collect()];
         }
         let limits = &self.connection.limits;
-        let most = limits.max_color_attachments.min(OUTPUTS) as usize;
-        let bytes = |part: &[(usize, usize)]| {
-            attachment_bytes(part.iter().filter_map(|(target, _)| self.targets.formats[*target]))
-        };
-        let (mut parts, mut part) = (Vec::new(), Vec::new());
-        for attached in all {
-            part.push(attached);
-            let is_full = part.len() > most || bytes(&part) > limits.max_color_attachment_bytes_per_sample;
-            if is_full && part.len() > 1 {
-                part.pop();
-                parts.push(std::mem::replace(&mut part, vec![attached]));
-            }
-        }
-        parts.push(part);
-        parts
+        let most = limits.max_color_attachments.min(OUTPUTS);
+        in_parts(all, &self.targets.formats, most, limits.max_color_attachment_bytes_per_sample)
     }
 
     /// Draws the geometry into some of a pass's attachments.
@@ -319,5 +327,27 @@ impl Job<'_> {
         let before = (draw.targets.start..target).map(|i| self.targets.layers[i].len());
         u32::try_from(before.sum::<usize>() + layer)
             .unwrap_or_else(|_| unreachable!("textures have few layers"))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn parts_hold_what_the_device_takes_and_nothing_is_left_out() {
+        let formats = [Some(TextureFormat::Rgba32Float), Some(TextureFormat::R16Float)];
+        let all: Vec<_> = (0..5).map(|layer| (0, layer)).chain([(1, 0)]).collect();
+        let sizes = |most, bytes| {
+            let parts = in_parts(all.iter().copied(), &formats, most, bytes);
+            assert_eq!(parts.concat(), all);
+            parts.iter().map(Vec::len).collect::<Vec<_>>()
+        };
+        // the least that WebGPU has, what desktops have, and the end of a part that bytes end
+        assert_eq!(sizes(8, 32), [2, 2, 2]);
+        assert_eq!(sizes(8, 128), [6]);
+        assert_eq!(sizes(4, 128), [4, 2]);
+        assert_eq!(sizes(8, 80), [5, 1]);
+        assert_eq!(sizes(8, 82), [6]);
     }
 }

@@ -578,8 +578,10 @@ mod tests {
     fn every_form_is_a_valid_shader_with_the_entry_points_and_params_it_names() {
         let forms: Vec<_> = REGISTRY.iter().filter(|info| info.gpu.is_some()).collect();
         assert!(forms.len() >= 8, "{}", forms.len());
-        for info in forms {
-            let form = form(info, &[]).unwrap();
+        let others = [("lwboit", ("storage", "ll")), ("tfm", ("project", "transmittance"))];
+        let others = others.map(|(id, given)| (crate::techniques::find(id).unwrap(), vec![given]));
+        for (info, given) in forms.into_iter().map(|info| (*info, vec![])).chain(others) {
+            let form = form(info, &given).unwrap();
             let module = validated(info.id, &form.module());
             let (size, names) = interface(&module);
             let needed = match &form.path {
@@ -593,6 +595,9 @@ mod tests {
                     vec!["place", "cover_all", peeling.peel, peeling.composite, peeling.resolve]
                 }
             };
+            if let Path::Blended(blending) = &form.path {
+                assert!(blending.draws.iter().all(|draw| draw.targets.end <= blending.targets.len()));
+            }
             assert!(needed.iter().all(|name| names.contains(name)), "{}: {names:?}", info.id);
             let bytes = u32::try_from(4 * form.numbers.len()).unwrap();
             // a block may end in padding
