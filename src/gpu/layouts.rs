@@ -336,13 +336,13 @@ impl Connection {
 
 fn component(blend: Blend) -> BlendComponent {
     let (src_factor, dst_factor) = match blend {
-        Blend::Add => (BlendFactor::One, BlendFactor::One),
+        // of the larger one factors are not looked at
+        Blend::Add | Blend::Max => (BlendFactor::One, BlendFactor::One),
         Blend::Over => (BlendFactor::One, BlendFactor::OneMinusSrcAlpha),
         Blend::Attenuate => (BlendFactor::Zero, BlendFactor::OneMinusSrc),
         Blend::Multiply => (BlendFactor::Zero, BlendFactor::Src),
         Blend::Under => (BlendFactor::DstAlpha, BlendFactor::One),
         Blend::Cover => (BlendFactor::One, BlendFactor::SrcAlpha),
-        Blend::Max => (BlendFactor::One, BlendFactor::One),
     };
     let operation = if blend == Blend::Max { BlendOperation::Max } else { BlendOperation::Add };
     BlendComponent { src_factor, dst_factor, operation }
