@@ -8,6 +8,7 @@ import pytest
 
 import oitlab
 from gpu_scenes import DEVICE, ORTHOGRAPHIC, SCENES, SIZE, WHY_NOT, around, mesh_of, scene_of, tolerance
+from test_gpu import with_environment
 
 pytestmark = pytest.mark.skipif(DEVICE is None, reason=WHY_NOT)
 
@@ -128,6 +129,25 @@ def test_layers_are_composited_in_other_formats(format_: str) -> None:
 def test_what_has_no_form_is_refused_by_name(technique: str, params: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=re.escape(message)):
         oitlab.render(SCENES["blades"], technique, params, backend="gpu")
+
+
+SMALL_BUFFERS = """
+import numpy as np, oitlab
+faces = np.arange(1200).reshape(-1, 3)
+colors = np.random.default_rng(0).random((400, 4)) * (1, 1, 1, 0.05)
+pane = [(-9, -9, 0), (9, -9, 0), (0, 9, 0)]
+mesh = oitlab.Mesh(pane * 400, faces, face_colors=colors)
+ties = oitlab.Scene([mesh], camera=oitlab.Camera(eye=(0, 0, 5)), width=6, height=4)
+assert 112 * 400 > 2 * 16384
+for technique, passes in (("depth_peeling", 0), ("depth_peeling", 150), ("dual_depth_peeling", 0)):
+    pair = [oitlab.render(ties, technique, {"passes": passes}, backend=backend) for backend in ("cpu", "gpu")]
+    np.testing.assert_allclose(pair[0].color, pair[1].color, rtol=0, atol=2e-5)
+"""
+
+
+def test_ties_between_draw_calls_are_ties() -> None:
+    done = with_environment(SMALL_BUFFERS, OITLAB_GPU_BUFFER_BYTES="16384")
+    assert done.returncode == 0, done.stderr
 
 
 @pytest.mark.parametrize("technique", PEELING)

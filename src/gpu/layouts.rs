@@ -437,6 +437,7 @@ impl Connection {
 
 fn component(blend: Blend) -> BlendComponent {
     let (src_factor, dst_factor) = match blend {
+        // of the larger one factors are not looked at
         Blend::Add | Blend::Max => (BlendFactor::One, BlendFactor::One),
         Blend::Over => (BlendFactor::One, BlendFactor::OneMinusSrcAlpha),
         Blend::Attenuate => (BlendFactor::Zero, BlendFactor::OneMinusSrc),

@@ -53,7 +53,7 @@ struct Bins {
     geometry: BindGroup,
     bounds: Buffer,
     chunk_counts: Buffer,
-    bins: Buffer,
+    cells: Buffer,
     bin_entries: Buffer,
     tiles: Buffer,
     tile_entries: Buffer,
@@ -84,17 +84,17 @@ impl Bins {
             let all = [(); 3].map(|()| record.as_entire_binding());
             (group(connection, &gpu.layouts.geometry, &all), 0)
         });
-        let cells = u64::from(CELLS);
+        let most_cells = u64::from(CELLS);
         Self {
             primitives,
             side,
             columns,
             geometry,
             bounds: words("bounds", 2 * u64::from(primitives)),
-            chunk_counts: words("chunk counts", u64::from(primitives.div_ceil(CHUNK)) * cells),
-            bins: words("bins", BIN as u64 * cells),
+            chunk_counts: words("chunk counts", u64::from(primitives.div_ceil(CHUNK)) * most_cells),
+            cells: words("bins", BIN as u64 * most_cells),
             bin_entries: words("bin entries", entries),
-            tiles: words("tiles", 2 * cells * cells),
+            tiles: words("tiles", 2 * most_cells * most_cells),
             tile_entries: words("tile entries", tile_entries),
         }
     }
@@ -119,8 +119,8 @@ impl Bins {
         let tiling = [self.primitives, chunks, self.side, self.columns, count, rows.start, 0, 0];
         let uniform = buffer(connection, "tiling", 32, BufferUsages::UNIFORM);
         connection.queue.write_buffer(&uniform, 0, bytes_of(&tiling));
-        let Self { bounds, chunk_counts, bins, bin_entries, tiles, tile_entries, .. } = self;
-        let all = [&uniform, bounds, chunk_counts, bins, bin_entries, tiles, tile_entries];
+        let Self { bounds, chunk_counts, cells, bin_entries, tiles, tile_entries, .. } = self;
+        let all = [&uniform, bounds, chunk_counts, cells, bin_entries, tiles, tile_entries];
         let mut resources: Vec<_> = all.iter().map(|buffer| buffer.as_entire_binding()).collect();
         resources.extend(textures.iter().map(BindingResource::TextureView));
         group(connection, layout, &resources)
@@ -155,7 +155,7 @@ impl Bins {
             let pipeline = drawing.pipeline(connection, layouts);
             (drawing, self.group(connection, &drawing.layout, rows, drawing.textures), pipeline, extent)
         });
-        recorder.clear(&self.bins);
+        recorder.clear(&self.cells);
         recorder.compute(Stage::Raster, |pass| {
             pass.set_bind_group(0, frame, &[]);
             pass.set_bind_group(1, &self.geometry, &[]);
@@ -245,7 +245,7 @@ impl Gpu {
             let mut recorder = Recorder::new(connection, stop);
             bins.pass((connection, layouts), &mut recorder, &rows, &frame, None)?;
             let words = BIN * (columns * (rows.end - rows.start)) as usize;
-            let (counts, _): (Vec<u32>, _) = recorder.finish(&bins.bins, 4 * words as u64)?;
+            let (counts, _): (Vec<u32>, _) = recorder.finish(&bins.cells, 4 * words as u64)?;
             let row = |bins: &[u32]| {
                 let sum = |which| bins.iter().skip(which).step_by(BIN).map(|n| u64::from(*n)).sum();
                 (sum(1), sum(3))
@@ -315,7 +315,7 @@ impl Gpu {
             let drawing = Some((&drawing, extent));
             bins.pass((connection, layouts), &mut recorder, &part.rows, &frame, drawing)?;
             // what is read back says no more than that it is done
-            let (_, spent) = recorder.finish::<u32>(&bins.bins, 4)?;
+            let (_, spent) = recorder.finish::<u32>(&bins.cells, 4)?;
             times = times.plus(spent);
         }
         let mut image = Image { times, ..Image::default() };
