@@ -14,8 +14,8 @@ pytestmark = pytest.mark.skipif(DEVICE is None, reason=WHY_NOT)
 
 Params = dict[str, Any]
 
-# Scenes of one colour per face: there depths and alphas, and so random masks, are the CPU's to the bit but for
-# one depth in thousands.
+# Scenes of one colour per face: there depths and alphas, and so random masks, are the CPU's to the bit but
+# for one depth in thousands.
 FACETED = ["squares", "blades", "soup", "opaque", "empty"]
 
 
@@ -181,8 +181,8 @@ def test_weighted_sums_in_halves_are_close() -> None:
     np.testing.assert_allclose(got.color, expected.color, rtol=0, atol=limit)
 
 
-# A cluster may be 2 sqrt(3) 1e-4 of the pixel's depths wide, and its edge magnifies the rounding of a position
-# as much; of fragments as near to one centre as to another it is rounding that decides.
+# A cluster may be 2 sqrt(3) 1e-4 of the pixel's depths wide, and its edge magnifies the rounding of a
+# position as much; of fragments as near to one centre as to another it is rounding that decides.
 EDGE = 1 / (2 * 3**0.5 * 1e-4)
 CLUSTERED = 0.99
 
@@ -202,8 +202,8 @@ def test_lone_fragments_do_not_hide_themselves_in_a_cluster() -> None:
     np.testing.assert_allclose(got.color, exact.color, rtol=0, atol=1e-6)
 
 
-# Where a vertex lies on the edge of what eps allows, or two triangles are equal, rounding decides what is kept;
-# either is a polyline as good as the other.
+# Where a vertex lies on the edge of what eps allows, or two triangles are equal, rounding decides what is
+# kept; either is a polyline as good as the other.
 COMPRESSED = 0.99
 
 

@@ -256,12 +256,10 @@ impl Form {
     /// The shader with the blocks that it may use.
     pub fn module(&self) -> String {
         let mut parts = vec![FRAME, DOUBLE, FRAGMENT, WEIGHT, SHARES_OF_LAYERS, RESOLVE];
-        // the blend unit's techniques may have a form with lists in the same file
-        parts.extend([LISTS, RANDOM, CHANCE, ABSORBANCE, SUMS_OF_LISTS]);
         let constants;
         if let Path::Listed(listing) = &self.path {
             constants = listing.constants();
-            parts.push(&constants);
+            parts.extend([LISTS, RANDOM, CHANCE, ABSORBANCE, SUMS_OF_LISTS, &constants]);
             if listing.layers.is_some() {
                 parts.push(LAYERS);
             }
