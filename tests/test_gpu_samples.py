@@ -335,3 +335,21 @@ def test_compositions_that_order_cannot_change_are_done_in_any_order() -> None:
 def test_what_has_no_form_is_refused_by_name(technique: str, params: Params, message: str) -> None:
     with pytest.raises(ValueError, match=re.escape(message)):
         oitlab.render(SCENES["blades"], technique, params, backend="gpu")
+
+
+@pytest.mark.skipif("llvmpipe" not in str(DEVICE), reason="a driver that does not end loops early")
+@pytest.mark.parametrize(
+    ("technique", "params"),
+    [
+        ("deep_shadow_maps", {"vertices": 8}),
+        ("continuum", {"memory": "unbounded", "merge": "none", "insertion": "stochastic"}),
+    ],
+)
+def test_what_takes_steps_like_the_square_of_a_list_is_whole_or_an_error(
+    technique: str, params: Params
+) -> None:
+    few, many = (scene_of(*(pane(0.1, -z / 400) for z in range(n)), width=2, height=2) for n in (60, 600))
+    got, expected = (oitlab.render(few, technique, params, backend=b) for b in ("gpu", "cpu"))
+    np.testing.assert_allclose(got.transmittance, expected.transmittance, rtol=0, atol=1e-6)
+    with pytest.raises(RuntimeError, match="ends loops before they are done"):
+        oitlab.render(many, technique, params, backend="gpu")
