@@ -92,12 +92,13 @@ fn add_fragment(key: vec2u, alpha: f32) {
     vertex_count += 2u;
 }
 
-// Twice the area of the triangle of a vertex and its neighbours, which its removal would add or take.
+// Twice the area of the triangle of a vertex and its neighbours, which its removal would add or take. Products that are equal
+// cancel, also where a device could do one of them together with the difference.
 fn area_at(i: u32) -> f32 {
     let depth = depth_of_face(faces[i]);
     let left = vec2f(depth - depth_of_face(faces[i - 1u]), reaching[i] - reaching[i - 1u]);
     let right = vec2f(depth_of_face(faces[i + 1u]) - depth, reaching[i + 1u] - reaching[i]);
-    return abs(left.x * right.y - right.x * left.y);
+    return abs(unseen(left.x * right.y) - unseen(right.x * left.y));
 }
 
 // Removes the inner vertex of the smallest area, the nearest of several.

@@ -49,13 +49,13 @@ impl Number {
     /// The largest float that is not more: floats are more than it if they are more than the double.
     pub fn below(x: f64) -> Self {
         let near = nearest(x);
-        Self::Float(if f64::from(near) > x { near.next_down() } else { near })
+        Self::Float(if f64::from(near) > x { near.next_down().max(f32::MIN) } else { near })
     }
 
     /// The smallest float that is not less: floats are less than it if they are less than the double.
     pub fn above(x: f64) -> Self {
         let near = nearest(x);
-        Self::Float(if f64::from(near) < x { near.next_up() } else { near })
+        Self::Float(if f64::from(near) < x { near.next_up().min(f32::MAX) } else { near })
     }
 
     /// A double as the sum of two floats.
@@ -248,7 +248,7 @@ impl Listing {
     fn constants(&self) -> String {
         let layers = self.layers.map(|count| ("LAYERS", count));
         let all = layers.iter().chain(&self.sizes);
-        all.map(|(name, size)| format!("const {name} = {size}u;\n")).collect()
+        all.map(|(name, size)| format!("const {name} = {size}u;\n")).collect::<Vec<_>>().concat()
     }
 }
 
@@ -476,7 +476,8 @@ mod tests {
         for (id, mode) in modes {
             let form = form(crate::techniques::find(id).unwrap(), &[mode]).unwrap();
             let Path::Listed(listing) = &form.path else { panic!("{form:?}") };
-            let names = interface(&validated(mode.1, &form.module())).1;
+            let module = validated(mode.1, &form.module());
+            let names = interface(&module).1;
             assert!(names.contains(&listing.resolve), "{names:?}");
         }
     }
