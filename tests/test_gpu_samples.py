@@ -14,8 +14,8 @@ pytestmark = pytest.mark.skipif(DEVICE is None, reason=WHY_NOT)
 
 Params = dict[str, Any]
 
-# Scenes of one colour per face: there depths and alphas, and so random masks, are the CPU's to the bit but for
-# one depth in thousands.
+# Scenes of one colour per face: there depths and alphas, and so random masks, are the CPU's to the bit but
+# for one depth in thousands.
 FACETED = ["squares", "blades", "soup", "opaque", "empty"]
 
 
@@ -181,8 +181,8 @@ def test_weighted_sums_in_halves_are_close() -> None:
     np.testing.assert_allclose(got.color, expected.color, rtol=0, atol=limit)
 
 
-# A cluster may be 2 sqrt(3) 1e-4 of the pixel's depths wide, and its edge magnifies the rounding of a position
-# as much; of fragments as near to one centre as to another it is rounding that decides.
+# A cluster may be 2 sqrt(3) 1e-4 of the pixel's depths wide, and its edge magnifies the rounding of a
+# position as much; of fragments as near to one centre as to another it is rounding that decides.
 EDGE = 1 / (2 * 3**0.5 * 1e-4)
 CLUSTERED = 0.99
 
@@ -202,8 +202,8 @@ def test_lone_fragments_do_not_hide_themselves_in_a_cluster() -> None:
     np.testing.assert_allclose(got.color, exact.color, rtol=0, atol=1e-6)
 
 
-# Where a vertex lies on the edge of what eps allows, or two triangles are equal, rounding decides what is kept;
-# either is a polyline as good as the other.
+# Where a vertex lies on the edge of what eps allows, or two triangles are equal, rounding decides what is
+# kept; either is a polyline as good as the other.
 COMPRESSED = 0.99
 
 
@@ -335,3 +335,21 @@ def test_compositions_that_order_cannot_change_are_done_in_any_order() -> None:
 def test_what_has_no_form_is_refused_by_name(technique: str, params: Params, message: str) -> None:
     with pytest.raises(ValueError, match=re.escape(message)):
         oitlab.render(SCENES["blades"], technique, params, backend="gpu")
+
+
+@pytest.mark.skipif("llvmpipe" not in str(DEVICE), reason="a driver that does not end loops early")
+@pytest.mark.parametrize(
+    ("technique", "params"),
+    [
+        ("deep_shadow_maps", {"vertices": 8}),
+        ("continuum", {"memory": "unbounded", "merge": "none", "insertion": "stochastic"}),
+    ],
+)
+def test_what_takes_steps_like_the_square_of_a_list_is_whole_or_an_error(
+    technique: str, params: Params
+) -> None:
+    few, many = (scene_of(*(pane(0.1, -z / 400) for z in range(n)), width=2, height=2) for n in (60, 600))
+    got, expected = (oitlab.render(few, technique, params, backend=b) for b in ("gpu", "cpu"))
+    np.testing.assert_allclose(got.transmittance, expected.transmittance, rtol=0, atol=1e-6)
+    with pytest.raises(RuntimeError, match="ends loops before they are done"):
+        oitlab.render(many, technique, params, backend="gpu")

@@ -106,7 +106,8 @@ fn sort_out(list: vec2u) {
         let covers_nothing = params.covers_samples != 0u && colors[place].a <= 0.0;
         if nothing || !passes(list, i, place) || covers_nothing {
             keys[place].x |= LOST;
-        } else if params.merge == DISCARD_OCCUPIED {
+        } else if params.merge == DISCARD_OCCUPIED && params.insertion == STOCHASTIC {
+            // what is lost hides nobody any more; where that makes no difference, it shows when lists are sorted
             keep_nearer(list, i, place);
         }
     }
@@ -179,6 +180,8 @@ fn resolve_lists(@builtin(global_invocation_id) id: vec3u) {
     covered = Mask();
     open = params.samples;
     let is_samples = params.merge == DISCARD_OCCLUDED;
+    // one behind the last fragment's bin
+    var occupied = 0u;
     let end = list.x + list.y;
     var stored = list.x;
     let lost_first = list.x + count_stored(list);
@@ -187,8 +190,11 @@ fn resolve_lists(@builtin(global_invocation_id) id: vec3u) {
     while stored < lost_first || lost < end {
         let seen = core.y;
         if lost == end || (stored < lost_first && comes_before_by_depth(keys[stored], key_of(lost))) {
-            let shows = put_behind(stored);
-            add_fragment(stored, depth_in(keys[stored]), seen, shows || !is_samples);
+            let bin = bin_of(keys[stored]) + 1u;
+            let is_kept = params.merge != DISCARD_OCCUPIED || bin != occupied;
+            occupied = bin;
+            let shows = is_kept && put_behind(stored);
+            add_fragment(stored, depth_in(keys[stored]), seen, is_kept && (shows || !is_samples));
             stored++;
         } else {
             add_fragment(lost, depth_in(key_of(lost)), seen, false);

@@ -412,15 +412,10 @@ impl Form {
         parts.extend([SHARES_OF_LAYERS, RESOLVE]);
         let constants;
         match &self.path {
-            Path::Blended(blending) if !blending.blocks.is_empty() => parts.extend(blending.blocks),
-            // params may ask for lists instead, which are in the same file
-            _ => parts.extend([LISTS, RANDOM, CHANCE, ABSORBANCE, SUMS_OF_LISTS]),
-        }
-        match &self.path {
-            Path::Blended(_) => {}
+            Path::Blended(blending) => parts.extend(blending.blocks),
             Path::Listed(listing) => {
                 constants = listing.constants();
-                parts.push(&constants);
+                parts.extend([LISTS, RANDOM, CHANCE, ABSORBANCE, SUMS_OF_LISTS, &constants]);
                 if listing.layers.is_some() {
                     parts.push(LAYERS);
                 }
@@ -430,9 +425,10 @@ impl Form {
             }
             Path::Streamed(stream) => {
                 constants = format!("const LAYERS = {}u;", stream.layers);
-                parts.extend([constants.as_str(), LAYERS, STREAM]);
+                parts.extend([LISTS, constants.as_str(), LAYERS, STREAM]);
             }
-            Path::Peeled(_) => parts.push(BACKGROUND),
+            // params may ask for lists instead, which are in the same file
+            Path::Peeled(_) => parts.extend([BACKGROUND, LISTS]),
         }
         parts.push(self.shader);
         parts.join("\n")

@@ -90,6 +90,15 @@ fn build(params: &Params, _view: &View) -> Result<Box<dyn AnyTechnique>> {
     Ok(Box::new(WeightedSumRendering { weight, background_weight, stored, bytes }))
 }
 
+const BLENDED: &str = concat!(
+    include_str!("../../shaders/gs_wsr/average.wgsl"),
+    include_str!("../../shaders/gs_wsr/blended.wgsl")
+);
+const LISTED: &str = concat!(
+    include_str!("../../shaders/gs_wsr/average.wgsl"),
+    include_str!("../../shaders/gs_wsr/listed.wgsl")
+);
+
 /// Its form on a GPU: the blend unit adds up; lists are walked twice where sigma is a pixel's own.
 fn gpu(params: &Params, _view: &View) -> Result<Form> {
     only(params, "summation", "plain")?;
@@ -122,7 +131,7 @@ fn gpu(params: &Params, _view: &View) -> Result<Form> {
     ];
     Ok(Form {
         weight: None,
-        shader: include_str!("../../shaders/gs_wsr.wgsl"),
+        shader: if sigma.is_some() { BLENDED } else { LISTED },
         numbers,
         path,
         shows_zero_fragments: false,

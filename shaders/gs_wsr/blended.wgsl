@@ -1,0 +1,18 @@
+
+// The blend unit adds up.
+
+@fragment
+fn accumulate(placed: Placed) -> @location(0) vec4f {
+    let fragment = fragment_of(placed);
+    return weight_at(fragment.depth, params.sigma) * vec4f(fragment.color, fragment.alpha);
+}
+
+@group(2) @binding(0) var accumulation: texture_2d<f32>;
+
+@compute @workgroup_size(8, 8)
+fn resolve(@builtin(global_invocation_id) id: vec3u) {
+    if is_outside(id) {
+        return;
+    }
+    store_average(id, min(textureLoad(accumulation, pixel_of(id), 0), vec4f(params.largest)));
+}
