@@ -6,7 +6,7 @@ FUZZ_SECONDS ?= 600
 BIN := $(VENV)/bin
 RUST_SOURCES := $(shell find src shaders -name '*.rs' -o -name '*.wgsl') Cargo.toml Cargo.lock
 
-.PHONY: demo test test-rust test-python check fuzz bench bench-full develop format clean readme golden notebooks
+.PHONY: demo test test-rust test-python check fuzz bench bench-full gpu develop format clean readme golden notebooks
 
 demo: develop
 	$(BIN)/oitlab demo --output out/demo
@@ -37,6 +37,12 @@ fuzz:
 # Peers are found in OITLAB_PEER_PYTHON, an interpreter with benches/requirements-peers.txt, and skipped where absent.
 bench: develop
 	$(BIN)/python benches/bench.py peers skips
+
+# All of it on the GPU at hand: tests, agreement with the CPU, and times at 1280 x 720 and 3840 x 2160.
+gpu: develop
+	OITLAB_REQUIRE_GPU=1 $(BIN)/python -m pytest tests/test_gpu*.py
+	$(BIN)/python experiments/gpu_agreement.py --output out/gpu/agreement
+	$(BIN)/python benches/bench.py gpu --output out/gpu
 
 bench-full: develop
 	$(BIN)/python benches/bench.py --huge

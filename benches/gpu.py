@@ -25,34 +25,23 @@ from peers import PEERS
 import oitlab
 
 SIZES = {"1280 x 720": (1280, 720), "3840 x 2160": (3840, 2160)}
-"""The larger one where the device is no processor, or with --huge."""
-ASKED: dict[str, dict[str, Any]] = {"lwboit": {"storage": "ll"}}
-"""Params of techniques whose defaults have no form."""
+"""Of a card's images; --huge for those of a processor, too, which takes minutes for some of them."""
+OF_A_PROCESSOR = {"640 x 360": (640, 360)}
 STORAGES = ("ll", "lr")
 AIM = 1.5
 """Times the fastest peer's milliseconds that wboit may take on a driver that runs on the processor."""
 
 
-def forms(info: Any) -> dict[str, dict[str, Any]]:
-    """Every technique that the device renders, and the params that it takes for that."""
-    known = {name: ASKED.get(name, {}) for name in info.techniques}
-    return known | {name: params for name, params in ASKED.items() if "gpu" in backends(name)}
-
-
-def backends(name: str) -> tuple[str, ...]:
-    """Where a technique runs."""
-    return tuple(oitlab.techniques()[name].backends)
-
-
-def frames(what: oitlab.Scene, name: str, params: dict[str, Any], repeats: int) -> dict[str, Any]:
-    """The first frame's whole call, and the medians of the others' passes and calls."""
+def frames(what: oitlab.Scene, name: str, params: dict[str, Any], run: Run) -> dict[str, Any]:
+    """The first frame's whole call, and medians of further ones' passes and calls, as many as time allows."""
     start = time.perf_counter()
     frame = oitlab.render(what, name, params, backend="gpu")
     first = 1e3 * (time.perf_counter() - start)
     # some drivers compile while they draw
     oitlab.render(what, name, params, backend="gpu")
-    calls, passes = [], []
-    for _ in range(repeats):
+    calls: list[float] = []
+    passes: list[tuple[float, float]] = []
+    while not calls or (len(calls) < min(run.repeats, 5) and sum(calls) < 1e3 * run.budget):
         start = time.perf_counter()
         frame = oitlab.render(what, name, params, backend="gpu")
         calls.append(1e3 * (time.perf_counter() - start))
@@ -76,10 +65,10 @@ def on_scene(name: str, run: Run, size: tuple[int, int], info: Any) -> dict[str,
         what = what.replace(width=size[0], height=size[1])
     exact = oitlab.render(what, "a_buffer", dtype="float64")
     rows = {}
-    for technique, params in forms(info).items():
-        found = frames(what, technique, params, min(run.repeats, 5))
+    for technique in info.techniques:
+        found = frames(what, technique, {}, run)
         frame = found.pop("frame")
-        cpu = oitlab.render(what, technique, params)
+        cpu = oitlab.render(what, technique)
         found["rmse"] = oitlab.compare(frame, exact)["rmse"]
         found["rmse_cpu"] = oitlab.compare(cpu, exact)["rmse"]
         found["off_cpu"] = float(np.abs(frame.color - cpu.color).max())
@@ -98,23 +87,21 @@ def storages(run: Run, size: tuple[int, int]) -> dict[str, dict[str, float]]:
             what = what.replace(width=size[0], height=size[1])
         found[name] = {}
         for storage in STORAGES:
-            try:
-                row = frames(what, "lwboit", {"storage": storage}, min(run.repeats, 5))
-            except ValueError:  # this storage has no form, or not on this device
-                continue
+            row = frames(what, "lwboit", {"storage": storage}, run)
             found[name][storage] = row["median_ms"]
     return found
 
 
 def beside_peers(run: Run) -> dict[str, dict[str, Any]]:
-    """The WBOIT peers on every scene, each in a process of its own."""
+    """Measure the WBOIT peers on every scene, each in a process of its own, and wboit."""
     modes = [(p, mode) for p in run.peers for mode, kind in PEERS[p].items() if kind == "wboit"]
     found: dict[str, dict[str, Any]] = {}
     for name in SCENES:
         with tempfile.TemporaryDirectory() as temporary:
             folder = Path(temporary)
             Arrays.of(scene(name, run)).save(folder / "scene.npz")
-            found[name] = {}
+            found[name] = {"wboit": frames(scene(name, run), "wboit", {}, run)}
+            del found[name]["wboit"]["frame"]
             for peer, mode in modes:
                 result = one(run.peer_python, peer, mode, folder, run)
                 if "times_ms" in result:
@@ -130,9 +117,7 @@ def main(run: Run) -> None:
         print(f"skipped: {error}\n", file=sys.stderr)
         return
     is_processor = info.kind == "Cpu"
-    sizes = {
-        name: size for name, size in SIZES.items() if size == (1280, 720) or run.huge or not is_processor
-    }
+    sizes = SIZES if run.huge or not is_processor else OF_A_PROCESSOR
     if run.quick:
         sizes = {"160 x 90": (160, 90)}
     results = {
@@ -154,7 +139,7 @@ def main(run: Run) -> None:
     for label, found in results.items():
         parts += tables(label, found)
     parts += table_of_storages(layers)
-    parts += table_of_peers(first, peers)
+    parts += table_of_peers(peers)
     saved = {"device": device, "sizes": results, "storages": layers, "peers": peers}
     run.save("gpu", saved, "\n\n".join(parts))
 
@@ -188,10 +173,8 @@ def tables(label: str, results: dict[str, Any]) -> list[str]:
 
 
 def table_of_storages(found: dict[str, dict[str, float]]) -> list[str]:
-    """Empty where only one of them runs."""
-    rows = [[name, *(three_digits(row[s]) for s in STORAGES)] for name, row in found.items() if len(row) == 2]
-    if not rows:
-        return []
+    """Milliseconds of both."""
+    rows = [[name, *(three_digits(row[s]) for s in STORAGES)] for name, row in found.items()]
     return [
         "lwboit by lists (ll, which draws the geometry twice) and by layered rendering (lr, as often as its "
         "bins and its shape ask for), milliseconds on the device (FEE21 table 3).",
@@ -199,14 +182,15 @@ def table_of_storages(found: dict[str, dict[str, float]]) -> list[str]:
     ]
 
 
-def table_of_peers(found: dict[str, Any], peers: dict[str, dict[str, Any]]) -> list[str]:
+def table_of_peers(peers: dict[str, dict[str, Any]]) -> list[str]:
     """Compare wboit's passes with the fastest peer's call on each scene."""
     rows = []
-    for name, all_peers in peers.items():
-        if not all_peers:
+    for name, found in peers.items():
+        others = {peer: row["median_ms"] for peer, row in found.items() if peer != "wboit"}
+        if not others:
             continue
-        best = min(all_peers, key=lambda peer: all_peers[peer]["median_ms"])
-        theirs, ours = all_peers[best]["median_ms"], found[name]["techniques"]["wboit"]["median_ms"]
+        best = min(others, key=lambda peer: others[peer])
+        theirs, ours = others[best], found["wboit"]["median_ms"]
         rows.append([name, best, three_digits(theirs), three_digits(ours), f"{ours / theirs:.2f}"])
     if not rows:
         return []

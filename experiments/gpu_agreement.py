@@ -22,8 +22,6 @@ import oitlab
 SCENES = ("squares", "soup", "shells", "smoke", "blades")
 MESHES = {"dragon": "scans/stanford_dragon_res2.ply", "engine": "cad/2CylinderEngine.glb"}
 OPACITY = 0.35
-ASKED: dict[str, dict[str, Any]] = {"lwboit": {"storage": "ll"}}
-"""Params of techniques whose defaults have no form."""
 FORMATS = {"f16": 2.0**-11, "unorm8": 1 / 255, "unorm16": 1 / 65535}
 """A unit in the last place of numbers just below one."""
 ROUNDINGS = 16
@@ -37,13 +35,13 @@ def main() -> None:
         info = oitlab.gpu.info()
     except RuntimeError as error:
         stop(str(error))
-    size = (96, 54) if study.quick else (640, 360)
+    size = (96, 54) if study.quick else (320, 180)
     sources = list(_sources(*size))
     coverage = {name: _coverage(source) for name, source in sources if isinstance(source, oitlab.Scene)}
     techniques = {
         entry.id: {name: _images(source, entry.id) for name, source in sources}
         for entry in oitlab.techniques()
-        if "gpu" in entry.backends
+        if entry.id in info.techniques
     }
     formats = _formats(sources)
     device = f"{info.adapter} ({info.kind}, {info.interface}; {info.driver} {info.driver_info})"
@@ -96,8 +94,7 @@ def _coverage(scene: oitlab.Scene) -> dict[str, Any]:
 
 
 def _images(source: oitlab.Scene | oitlab.Fragments, technique: str) -> dict[str, float]:
-    params = ASKED.get(technique, {})
-    gpu, cpu = (oitlab.render(source, technique, params, backend=b) for b in ("gpu", "cpu"))
+    gpu, cpu = (oitlab.render(source, technique, backend=b) for b in ("gpu", "cpu"))
     off = np.abs(gpu.color - cpu.color).max(axis=-1)
     scale = max(1.0, float(np.abs(cpu.color).max()))
     bound = 2 * (cpu.stats.depth_complexity_max + ROUNDINGS) * F32 * scale

@@ -31,7 +31,7 @@ fn add_background(@builtin(global_invocation_id) id: vec3u) {
         return;
     }
     let pixel = pixel_of(id);
-    let target_ = textureLoad(color_target, id.xy, 0);
+    let target_ = textureLoad(color_target, texel_of(pixel_of(id)), 0);
     store(id, min(target_.rgb, vec3f(LARGEST)) + target_.a * background_at(pixel), target_.a);
 }
 
@@ -40,5 +40,5 @@ fn read_framebuffer(@builtin(global_invocation_id) id: vec3u) {
     if is_outside(id) {
         return;
     }
-    store(id, textureLoad(color_target, id.xy, 0).rgb, textureLoad(transmittance_target, id.xy, 0).x);
+    store(id, textureLoad(color_target, texel_of(pixel_of(id)), 0).rgb, textureLoad(transmittance_target, texel_of(pixel_of(id)), 0).x);
 }

@@ -30,8 +30,8 @@ fn resolve(@builtin(global_invocation_id) id: vec3u) {
         return;
     }
     let pixel = pixel_of(id);
-    let sums = min(textureLoad(accumulation, id.xy, 0), vec4f(params.largest));
-    let r = textureLoad(revealage, id.xy, 0).x;
+    let sums = min(textureLoad(accumulation, texel_of(pixel_of(id)), 0), vec4f(params.largest));
+    let r = textureLoad(revealage, texel_of(pixel_of(id)), 0).x;
     let average = select(vec3f(0.0), sums.rgb * ((1.0 - r) / sums.a), sums.a > 0.0);
     store(id, average + r * background_at(pixel), r);
 }

@@ -39,8 +39,8 @@ fn resolve(@builtin(global_invocation_id) id: vec3u) {
         return;
     }
     let pixel = pixel_of(id);
-    let sums = min(textureLoad(accumulation, id.xy, 0), vec4f(params.largest));
-    let share = textureLoad(modulation, id.xy, 0).rgb;
+    let sums = min(textureLoad(accumulation, texel_of(pixel_of(id)), 0), vec4f(params.largest));
+    let share = textureLoad(modulation, texel_of(pixel_of(id)), 0).rgb;
     var average = vec3f(0.0);
     if sums.a > 0.0 {
         average = sums.rgb / max(sums.a, params.divisor_floor);

@@ -75,8 +75,8 @@ fn resolve_listing3(@builtin(global_invocation_id) id: vec3u) {
     if is_outside(id) {
         return;
     }
-    let sums = min(textureLoad(accumulation, id.xy, 0), vec4f(params.largest));
-    cover(id, sums.rgb, sums.a, textureLoad(second, id.xy, 0).x);
+    let sums = min(textureLoad(accumulation, texel_of(pixel_of(id)), 0), vec4f(params.largest));
+    cover(id, sums.rgb, sums.a, textureLoad(second, texel_of(pixel_of(id)), 0).x);
 }
 
 @compute @workgroup_size(8, 8)
@@ -84,8 +84,8 @@ fn resolve_listing4(@builtin(global_invocation_id) id: vec3u) {
     if is_outside(id) {
         return;
     }
-    let texel = textureLoad(accumulation, id.xy, 0);
-    let weights = min(textureLoad(second, id.xy, 0).x, params.largest_weights);
+    let texel = textureLoad(accumulation, texel_of(pixel_of(id)), 0);
+    let weights = min(textureLoad(second, texel_of(pixel_of(id)), 0).x, params.largest_weights);
     cover(id, min(texel.rgb, vec3f(params.largest)), weights, texel.a);
 }
 
@@ -94,7 +94,7 @@ fn resolve_monochrome(@builtin(global_invocation_id) id: vec3u) {
     if is_outside(id) {
         return;
     }
-    let texel = textureLoad(accumulation, id.xy, 0);
+    let texel = textureLoad(accumulation, texel_of(pixel_of(id)), 0);
     let sums = min(texel.xy, vec2f(params.largest));
     cover(id, vec3f(sums.x), sums.y, texel.a);
 }

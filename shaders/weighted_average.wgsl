@@ -32,12 +32,12 @@ fn resolve(@builtin(global_invocation_id) id: vec3u) {
     }
     let pixel = pixel_of(id);
     let background = background_at(pixel);
-    let sums = min(textureLoad(accumulation, id.xy, 0), vec4f(params.largest));
+    let sums = min(textureLoad(accumulation, texel_of(pixel_of(id)), 0), vec4f(params.largest));
     if sums.a <= 0.0 {
         store(id, background, 1.0);
         return;
     }
-    let count = max(textureLoad(count_target, id.xy, 0).x, 1.0);
+    let count = max(textureLoad(count_target, texel_of(pixel_of(id)), 0).x, 1.0);
     let shares = repeated(min(sums.a / count, 1.0), u32(count));
     store(id, shares.x * (sums.rgb / sums.a) + shares.y * background, shares.y);
 }

@@ -23,7 +23,7 @@ fn resolve(@builtin(global_invocation_id) id: vec3u) {
         return;
     }
     let pixel = pixel_of(id);
-    let sums = min(textureLoad(accumulation, id.xy, 0), vec4f(params.largest));
+    let sums = min(textureLoad(accumulation, texel_of(pixel_of(id)), 0), vec4f(params.largest));
     let transmittance = 1.0 - sums.a;
     store(id, sums.rgb + transmittance * background_at(pixel), transmittance);
 }

@@ -144,9 +144,10 @@ def test_the_device_is_measured_beside_the_cpu(bench: dict[str, Any]) -> None:
     for row in rows.values():
         assert {"wboit", "lwboit", "a_buffer"} <= row["techniques"].keys()
         assert row["techniques"]["a_buffer"]["rmse"] < 1e-6
+        for technique in ("wboit", "a_buffer", "mlab", "opacity_shadow_maps"):
+            assert row["techniques"][technique]["off_cpu"] < 1e-4
         for technique in row["techniques"].values():
-            assert technique["off_cpu"] < 1e-3
-            assert abs(technique["rmse"] - technique["rmse_cpu"]) < 1e-4
+            assert abs(technique["rmse"] - technique["rmse_cpu"]) < 1e-3
             assert technique["call_ms"] > 0
         assert set(row["pareto_front"]) <= row["techniques"].keys()
-    assert all("ll" in row for row in found["storages"].values())
+    assert all(row.keys() == {"ll", "lr"} for row in found["storages"].values())

@@ -16,6 +16,7 @@ TECHNIQUES: list[tuple[str, dict[str, Any]]] = [
     ("wboit", {"layout": "listing4"}),
     ("wboit", {"layout": "monochrome"}),
     ("lwboit", {"storage": "ll"}),
+    ("lwboit", {"storage": "lr"}),
 ]
 
 WEIGHTS: dict[str, dict[str, Any]] = {

@@ -328,7 +328,7 @@ def test_compositions_that_order_cannot_change_are_done_in_any_order() -> None:
         (
             "continuum",
             {"memory": "bins", "merge": "average", "weight": lambda z, a: z * a},
-            "there weights are the published ones",
+            "a callable has no form",
         ),
     ],
 )

@@ -169,7 +169,7 @@ def test_calls_repeat_to_the_bit_and_say_how_long_they_took() -> None:
         ("multilayer_depth_peeling", {"layers": 33}, 'has no form for "compute"'),
         ("wboit", {"format": "f16"}, 'accumulation_format="f16", which registers are not in, has no form'),
         ("mlab", {"submission_order": "sorted"}, 'sorts fragments, which the path "compute"'),
-        ("slab", {}, "'slab' has no GPU form yet"),
+        ("fourier_opacity_maps", {}, 'this technique has no form for "compute"'),
     ],
 )
 def test_what_is_no_stream_of_fragments_is_refused(

@@ -124,7 +124,6 @@ def test_odd_image_sizes(pane: oitlab.Mesh, shape: tuple[int, int]) -> None:
         (("wboit", [("weight", "mb7")]), {}, "params of 'wboit' must be a mapping"),
         ((3,), {}, "named by its id, got 3"),
         (("wboit",), {"backend": "tpu"}, "unknown backend 'tpu'"),
-        (("slab",), {"backend": "gpu"}, "'slab' has no GPU form yet; its backends: cpu"),
         (("wboit", {"wieght": "mb7"}), {"backend": "gpu"}, "wieght"),
         (("no_such",), {"backend": "gpu"}, "no_such"),
         (("wboit",), {"dtype": "float16"}, "dtype must be"),

@@ -10,16 +10,16 @@ struct Prepared {
 }
 
 // A number of 64 bits: upper and lower half.
-fn product(a: i32, b: i32) -> vec2u {
+fn product_64(a: i32, b: i32) -> vec2u {
     let size = wide_product(u32(abs(a)), u32(abs(b)));
-    return select(size, negative(size), (a < 0) != (b < 0));
+    return select(size, negative_64(size), (a < 0) != (b < 0));
 }
 
-fn negative(a: vec2u) -> vec2u {
+fn negative_64(a: vec2u) -> vec2u {
     return vec2u(~a.x + select(0u, 1u, a.y == 0u), ~a.y + 1u);
 }
 
-fn sum_of(a: vec2u, b: vec2u) -> vec2u {
+fn sum_64(a: vec2u, b: vec2u) -> vec2u {
     let low = a.y + b.y;
     return vec2u(a.x + b.x + select(0u, 1u, low < a.y), low);
 }
@@ -27,7 +27,7 @@ fn sum_of(a: vec2u, b: vec2u) -> vec2u {
 // (a b - c d + bias) / 256, rounded down, within +-2^30.
 fn scaled_difference(a: i32, b: i32, c: i32, d: i32, bias: i32) -> i32 {
     let wide_bias = vec2u(bitcast<u32>(bias >> 31u), bitcast<u32>(bias));
-    let difference = sum_of(sum_of(product(a, b), negative(product(c, d))), wide_bias);
+    let difference = sum_64(sum_64(product_64(a, b), negative_64(product_64(c, d))), wide_bias);
     let high = bitcast<i32>(difference.x);
     let within = clamp(high, -64, 63);
     if high != within {
@@ -56,7 +56,7 @@ fn prepare(index: u32, first_pixel: vec2u) -> Prepared {
     let a = (*primitive).corners[0];
     var b = (*primitive).corners[1];
     var c = (*primitive).corners[2];
-    let area = sum_of(product(b.x - a.x, c.y - a.y), negative(product(b.y - a.y, c.x - a.x)));
+    let area = sum_64(product_64(b.x - a.x, c.y - a.y), negative_64(product_64(b.y - a.y, c.x - a.x)));
     if all(area == vec2u(0u)) {
         return Prepared(vec3i(-1), vec3i(0), vec3i(0), index);
     }

@@ -14,5 +14,5 @@ fn resolve(@builtin(global_invocation_id) id: vec3u) {
     if is_outside(id) {
         return;
     }
-    store_average(id, min(textureLoad(accumulation, pixel_of(id), 0), vec4f(params.largest)));
+    store_average(id, min(textureLoad(accumulation, texel_of(pixel_of(id)), 0), vec4f(params.largest)));
 }

@@ -93,6 +93,9 @@ pub enum Reads<'a> {
     Targets(&'a [Option<Reading>]),
 }
 
+/// Pipelines that are kept: several for each technique.
+const KEPT_PIPELINES: usize = 256;
+
 /// A pipeline's constant.
 pub fn flag(on: bool) -> f64 {
     f64::from(u8::from(on))
@@ -190,6 +193,15 @@ impl Layouts {
         }
     }
 
+    /// Forgets all pipelines once they are many: a session may ask for any number of them, and drivers keep code for each.
+    fn make_room(&mut self) {
+        if self.renders.len() + self.computes.len() >= KEPT_PIPELINES {
+            self.renders.clear();
+            self.computes.clear();
+            self.modules.clear();
+        }
+    }
+
     fn module(&mut self, device: &Device, source: &str) -> ShaderModule {
         let module = self.modules.entry(source.to_owned()).or_insert_with(|| {
             let source = wgpu::ShaderSource::Wgsl(source.into());
@@ -242,6 +254,7 @@ impl Layouts {
         if let Some(pipeline) = self.renders.get(&key) {
             return Arc::clone(pipeline);
         }
+        self.make_room();
         let module = self.module(device, shader.module);
         let groups = match draws {
             Draws::Background => [Some(&self.frame), None, third],
@@ -311,6 +324,7 @@ impl Layouts {
         if let Some(pipeline) = self.computes.get(&key) {
             return Arc::clone(pipeline);
         }
+        self.make_room();
         let module = self.module(device, shader.module);
         let primitives = reads_primitives.then_some(&self.geometry);
         let groups = [Some(&self.frame), primitives, third, Some(&self.output)];

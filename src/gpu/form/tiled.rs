@@ -1,8 +1,8 @@
 //! Forms for the raster in compute, which hands a pixel's fragments one by one to what it keeps in registers.
 
 use super::{
-    Blend, BlendTarget, Blending, DOUBLE, FRAGMENT, FRAME, Form, LAYERS, LISTS, Path, RESOLVE, TILE_BINS,
-    TILES, WEIGHT_BOUNDS,
+    Blend, BlendTarget, Blending, DOUBLE, FRAGMENT, FRAME, Form, LAYERS, LISTS, Path, RESOLVE,
+    SHARES_OF_LAYERS, TILE_BINS, TILES, WEIGHT_BOUNDS,
 };
 use crate::error::{Error, Result};
 use crate::format::Format;
@@ -45,7 +45,7 @@ impl Form {
         let (layers, state);
         let mut parts = vec![FRAME, DOUBLE, FRAGMENT, WEIGHT_BOUNDS];
         parts.extend(self.weight.iter().map(|weight| weight.text.as_str()));
-        parts.push(RESOLVE);
+        parts.extend([SHARES_OF_LAYERS, RESOLVE]);
         match &self.path {
             Path::Listed(_) => return refused("what wants every fragment, sorted,"),
             Path::Peeled(_) => return refused("peeling"),
