@@ -25,17 +25,13 @@ impl Weighting {
         if let Function::Published(formula) = self.function {
             return Ok(self.published(formula));
         }
-        match params.setting("weight") {
-            Setting::Written(source) => {
-                let planes = Planes::from_params(params)?;
-                let numbers = self.own_numbers(planes, &params.uniforms("weight"));
-                Ok(Shading { numbers, module: WeightModule::own(&own_module(source)) })
-            }
-            _ => {
-                let problem = "a callable has no form on the backend \"gpu\"";
-                Err(params.error(problem, "there weight is a published one, or written in WGSL"))
-            }
-        }
+        let Setting::Written(source) = params.setting("weight") else {
+            let problem = "a callable has no form on the backend \"gpu\"";
+            return Err(params.error(problem, "there weight is a published one, or written in WGSL"));
+        };
+        let planes = Planes::from_params(params)?;
+        let numbers = self.own_numbers(planes, &params.uniforms("weight"));
+        Ok(Shading { numbers, module: WeightModule::own(&own_module(source)) })
     }
 
     fn published(&self, formula: Formula) -> Shading {
