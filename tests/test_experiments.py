@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 import oitlab
+from gpu_scenes import DEVICE, WHY_NOT
 from oitlab import cli
 
 FIVE_SCENES = ["squares", "soup", "shells", "smoke", "blades"]
@@ -179,3 +180,21 @@ def test_holes_converge_like_what_is_published(holes: dict[str, Any]) -> None:
         assert sweep["layers"] == [1, 2, 4, 8, 16]
         for errors in sweep["rmse"].values():
             assert errors[-1] < 0.3 * errors[0]
+
+
+@pytest.mark.skipif(DEVICE is None, reason=WHY_NOT)
+def test_the_gpu_covers_the_same_and_computes_the_same(tmp_path: Path) -> None:
+    finished = run("gpu_agreement", tmp_path, OITLAB_DATA=str(tmp_path))
+    assert finished.returncode == 0, finished.stderr
+    assert (tmp_path / "table.md").read_text() in finished.stdout
+    found = json.loads((tmp_path / "results.json").read_text())
+    assert list(found["coverage"]) == FIVE_SCENES
+    assert all(row["same"] and row["depths_off_ulp"] <= 1 for row in found["coverage"].values())
+    assert found["techniques"].keys() == set(oitlab.techniques().ids)
+    beyond = {
+        name for name, row in found["techniques"].items() if any(cell["beyond"] for cell in row.values())
+    }
+    # what decides between near-ties, and moments, which amplify rounding
+    assert beyond <= {"density_clustering", "deep_shadow_maps", "avsm", "mboit_power", "mboit_trig"}
+    for shares in found["formats"]["blended_oit"].values():
+        assert all(0 < share <= 1 for share in shares.values())
