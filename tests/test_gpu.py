@@ -330,3 +330,23 @@ def test_the_command_line_compares_on_the_gpu(capsys: pytest.CaptureFixture[str]
     size = ["--width", "32", "--height", "18"]
     assert main(["compare", "scene:blades", "--backend", "gpu", "--techniques", "wboit,a_buffer", *size]) == 0
     assert "cpu; techniques on the gpu" in capsys.readouterr().out
+
+
+def test_a_fork_is_told_to_be_spawned() -> None:
+    code = """
+import os, oitlab
+scene = oitlab.scenes.squares(width=16, height=9)
+oitlab.render(scene, "wboit", backend="gpu")
+child = os.fork()
+if child == 0:
+    try:
+        oitlab.render(scene, "wboit", backend="gpu")
+    except RuntimeError as error:
+        os._exit(3 if "spawn" in str(error) else 4)
+    os._exit(5)
+assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 3
+"""
+    done = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", code], capture_output=True, text=True, check=False, timeout=120
+    )
+    assert done.returncode == 0, done.stderr

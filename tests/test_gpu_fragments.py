@@ -127,3 +127,35 @@ def test_two_orders_of_the_same_fragments_stay_apart() -> None:
     first, second, third = oitlab.render_many(fragments, wanted, backend="gpu", skip=False)
     assert (first.color == third.color).all()
     assert (first.color != second.color).any()
+
+
+def stack(depth: Any, primitive: Any, far: float = 100.0) -> oitlab.Fragments:
+    """Make one pixel of half-covering fragments, each of a colour of its own."""
+    n = len(depth)
+    return oitlab.Fragments(
+        width=1,
+        height=1,
+        offsets=[0, n],
+        depth=np.asarray(depth, np.float32),
+        color=(np.random.default_rng(3).random((n, 3)) / 2).astype(np.float32),
+        alpha=np.full(n, 0.5, np.float32),
+        primitive=np.asarray(primitive, np.uint32),
+        background=(1.0, 1.0, 1.0),
+        far=far,
+    )
+
+
+HARD = {
+    "beyond the far plane": stack([150.0, 1e6, 3.0], [0, 1, 2]),
+    "the last ids": stack([3.0, 3.0, 2.0], [2**32 - 1, 2**32 - 2, 2**32 - 1]),
+    "one primitive twice": stack([3.0, 3.0, 3.0], [7, 7, 7]),
+    "many of one depth and primitive": stack([3.0] * 40, [0] * 40),
+}
+
+
+@pytest.mark.parametrize("name", HARD)
+@pytest.mark.parametrize("technique", ["a_buffer", "depth_peeling", "dual_depth_peeling", "screen_door"])
+def test_coincident_and_distant_fragments_are_those_of_the_cpu(technique: str, name: str) -> None:
+    got, expected = (oitlab.render(HARD[name], technique, backend=b) for b in ("gpu", "cpu"))
+    assert np.abs(got.color - expected.color).max() <= limit_of(expected)
+    assert np.abs(got.transmittance - expected.transmittance).max() <= limit_of(expected)

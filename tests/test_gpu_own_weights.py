@@ -41,6 +41,21 @@ WEIGHTS: dict[str, dict[str, Any]] = {
         """,
         "weight.k": 2.0,
     },
+    "the shader's own names": {
+        "weight": """
+            struct value { turns: f32, own_turns: f32 }
+            const is_lost = 2.0;
+            fn weight_(own_weight: f32) -> f32 { return own_weight * is_lost; }
+            fn turns(v: value) -> f32 { var own_value = v.turns; own_value += v.own_turns; return own_value; }
+            fn weight(own_turns: f32, a: f32, own_u: f32) -> f32 {
+                let store = weight_(a);
+                return turns(value(store, own_turns)) + own_u;
+            }
+        """,
+        "weight.own_turns": 0.5,
+        "weight.own_u": 0.25,
+    },
+    "a uniform of the shader's own name": {"weight": "a * own_turns", "weight.own_turns": 2.0},
     "loops and branches": {
         "weight": """
             fn weight(z: f32, a: f32) -> f32 {

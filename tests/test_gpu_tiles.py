@@ -164,7 +164,7 @@ def test_calls_repeat_to_the_bit_and_say_how_long_they_took() -> None:
 @pytest.mark.parametrize(
     ("technique", "params", "message"),
     [
-        ("a_buffer", {}, 'what wants every fragment, sorted, has no form for "compute"'),
+        ("a_buffer", {}, 'what keeps lists of fragments has no form for "compute"'),
         ("depth_peeling", {}, 'peeling has no form for "compute"; path="hardware" has one'),
         ("multilayer_depth_peeling", {"layers": 33}, 'has no form for "compute"'),
         ("wboit", {"format": "f16"}, 'accumulation_format="f16", which registers are not in, has no form'),
@@ -249,3 +249,26 @@ def test_what_overflows_can_still_be_hidden() -> None:
     ):
         got = oitlab.render(scene, technique, params, backend="gpu").color
         np.testing.assert_allclose(got[24, 32], expected[24, 32], rtol=1e-6)
+
+
+def test_loops_that_a_driver_ends_are_an_error() -> None:
+    corners = [((-9, -9, 0), (9, -9, 0), (0, 9, 0))] * 30
+    mesh = oitlab.Mesh(np.reshape(corners, (-1, 3)), np.arange(90).reshape(-1, 3), color=(1, 1, 1, 0.5))
+    scene = oitlab.Scene([mesh], camera=oitlab.Camera(eye=(0, 0, 5)), width=4, height=4)
+    turns = "for (var i = 0; i < 4000; i++) { x += 0.5 * z; }"
+    loop = f"fn weight(z: f32) -> f32 {{ var x = 0.0; {turns} return x; }}"
+    expected = oitlab.render(scene, "wboit", {"weight": loop})
+    problem = ""
+    try:
+        got = oitlab.gpu.render(scene, "wboit", {"weight": loop}, path="compute")
+    except RuntimeError as error:
+        problem = str(error)
+    if problem:
+        assert "ends loops before they are done" in problem
+    else:  # a device without that limit
+        assert np.abs(got.color - expected.color).max() <= 1e-5
+
+
+def test_an_unknown_path_is_refused() -> None:
+    with pytest.raises(ValueError, match="path: None; known:"):
+        oitlab.gpu.render(SCENES["blades"], "wboit", path=None)  # type: ignore[arg-type]

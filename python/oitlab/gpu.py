@@ -152,6 +152,8 @@ def render(
     """
     if not isinstance(scene, Scene):
         raise ValueError(f"scene must be a Scene, got {type(scene).__name__}")
+    if not isinstance(path, str):
+        raise ValueError(f"path: {path!r}; known: 'hardware', 'compute'")
     return _render(scene, [(technique, params)], "gpu", threads, skip, "float32", False, path)[0]
 
 

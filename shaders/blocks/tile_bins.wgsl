@@ -36,6 +36,8 @@ struct Bin {
 const CHUNK = 256u;
 // bins at hand, and tiles of a bin, at most
 const CELLS = 256u;
+// where no bin begins: a loop was ended before it was done
+const CUT_SHORT = 0xffffffffu;
 const TILE = 8u;
 const WORDS = CHUNK / 32u;
 

@@ -45,8 +45,8 @@ impl Connection {
     /// The error that stands for pixels which shaders did not finish.
     pub fn cut_short(&self) -> Error {
         Error::Gpu(format!(
-            "{} ends loops before they are done, and did so in a pixel with too many fragments for that; fewer of them, of layers or of \
-             samples may do, and backend=\"cpu\" has no such bound",
+            "{} ends loops before they are done, and did so in a pixel with too many fragments for that, or in a weight's own loop; fewer \
+             fragments, layers, samples or turns may do, and backend=\"cpu\" has no such bound",
             self.info.name
         ))
     }

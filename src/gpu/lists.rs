@@ -222,8 +222,8 @@ fn sort_lists(
     band: &Range<u32>,
     sorting: Sorting,
 ) -> Result<()> {
-    if sorting == Sorting::Submission && picture.given.is_some() {
-        return Ok(()); // as they came
+    if picture.given.is_some() {
+        return Ok(()); // they came in this order
     }
     let module = list_module();
     let entry = |point| Entry { module: &module, point };

@@ -277,8 +277,10 @@ fn check_size(connection: &Connection, width: u32, height: u32) -> Result<()> {
     let pixels = u64::from(width) * u64::from(height);
     let most = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size) / 4;
     if pixels > most {
-        let problem =
-            format!("an image of {pixels} pixels; {} counts fragments of {most}", connection.info.name);
+        let problem = format!(
+            "an image of {pixels} pixels; {} counts fragments of {most} at most: a smaller one fits",
+            connection.info.name
+        );
         return Err(Error::argument("width", problem));
     }
     Ok(())

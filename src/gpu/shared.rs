@@ -5,10 +5,11 @@ use super::draw::{Gpu, Image};
 use super::form::Form;
 use super::form::tiled::RasterPath;
 use super::picture::{Given, Picture, View};
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::order::SubmissionOrder;
 use crate::params;
 use crate::raster::Drawn;
+use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Mutex, PoisonError};
 
 /// What tells drawn scenes apart.
@@ -44,17 +45,27 @@ pub struct Shared {
 
 static SHARED: Mutex<Option<Shared>> = Mutex::new(None);
 
+/// The process that has the device; 0 before there is one.
+static OWNER: AtomicU32 = AtomicU32::new(0);
+
 /// Does some work with the process's device, which is made if there is none, and turns its errors into ours. One at a
 /// time.
 ///
 /// # Errors
 /// Those of `work`, [`crate::Error::Gpu`] and [`crate::Error::Memory`].
 pub fn with_gpu<T>(work: impl FnOnce(&mut Shared) -> Result<T>) -> Result<T> {
+    let this = std::process::id();
+    // a fork has the device's memory and none of its threads, and waiting for those would never end
+    if ![0, this].contains(&OWNER.load(Ordering::Relaxed)) {
+        let problem = "a fork of a process that has used the GPU cannot use it; start workers by \"spawn\"";
+        return Err(Error::Gpu(problem.to_owned()));
+    }
     let mut shared = SHARED.lock().unwrap_or_else(PoisonError::into_inner);
     if shared.as_ref().is_some_and(|shared| shared.gpu.connection.is_lost()) {
         *shared = None;
     }
     if shared.is_none() {
+        OWNER.store(this, Ordering::Relaxed);
         let connection = Connection::new()?;
         *shared = Some(Shared { gpu: Gpu::new(connection), kept: Vec::new() });
     }

@@ -314,8 +314,11 @@ impl Gpu {
             let extent = (picture.width, rows.end - rows.start);
             let drawing = Some((&drawing, extent));
             bins.pass((connection, layouts), &mut recorder, &part.rows, &frame, drawing)?;
-            // what is read back says no more than that it is done
-            let (_, spent) = recorder.finish::<u32>(&bins.cells, 4)?;
+            // what is read back says whether all loops came to their ends
+            let (first, spent) = recorder.finish::<u32>(&bins.cells, 4)?;
+            if first == [u32::MAX] {
+                return Err(self.connection.cut_short());
+            }
             times = times.plus(spent);
         }
         let mut image = Image { times, ..Image::default() };

@@ -8,18 +8,18 @@ use naga::{
     MemoryDecorations, Module, Range, Scalar, Span, Statement, Type, TypeInner,
 };
 
-/// What all names outside of functions begin with.
+/// The function that the shader calls has its own name behind this.
 pub const PREFIX: &str = "own_";
 /// The variable that counts the turns of all loops of an invocation; beyond [`MAX_ITERATIONS`] all are left.
 pub const TURNS: &str = "own_turns";
 
-/// The module as WGSL. Names outside of functions have [`PREFIX`], and every loop counts its turns in [`TURNS`].
+/// The module as WGSL. Its names are none that the shader has, but for that of `entry`, which begins with [`PREFIX`], and every loop counts its turns in [`TURNS`].
 ///
 /// # Errors
 /// What naga says, which is a bug in it or here: the module was valid.
-pub fn written(module: &Module) -> Result<String, String> {
+pub fn written(module: &Module, entry: Handle<Function>) -> Result<String, String> {
     let mut module = module.clone();
-    rename(&mut module);
+    rename(&mut module, entry);
     let turns = count_turns(&mut module);
     let mut functions = std::mem::take(&mut module.functions);
     for (_, function) in functions.iter_mut() {
@@ -32,12 +32,24 @@ pub fn written(module: &Module) -> Result<String, String> {
     write_string(&module, &info, WriterFlags::empty()).map_err(|error| error.to_string())
 }
 
-fn rename(module: &mut Module) {
+/// Names by numbers, whatever the user's are: naga changes names that others have taken before.
+fn rename(module: &mut Module, entry: Handle<Function>) {
     let prefixed = |name: &mut Option<String>, kind: &str, i: usize| {
-        *name = Some(format!("{PREFIX}{}", name.clone().unwrap_or_else(|| format!("{kind}{i}_"))));
+        *name = Some(format!("{PREFIX}{kind}_{i}_"));
     };
-    for (i, (_, function)) in module.functions.iter_mut().enumerate() {
-        prefixed(&mut function.name, "function", i);
+    for (i, (handle, function)) in module.functions.iter_mut().enumerate() {
+        if handle == entry {
+            function.name = Some(format!("{PREFIX}{}", function.name.as_deref().unwrap_or_default()));
+        } else {
+            prefixed(&mut function.name, "function", i);
+        }
+        function.named_expressions.clear();
+        for (i, argument) in function.arguments.iter_mut().enumerate() {
+            prefixed(&mut argument.name, "argument", i);
+        }
+        for (i, (_, local)) in function.local_variables.iter_mut().enumerate() {
+            prefixed(&mut local.name, "local", i);
+        }
     }
     for (i, (_, constant)) in module.constants.iter_mut().enumerate() {
         prefixed(&mut constant.name, "constant", i);

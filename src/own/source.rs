@@ -101,7 +101,7 @@ impl Source {
         let Parsed { module, entry, .. } = &self.parsed;
         let arguments = module.functions[*entry].arguments.iter();
         let names = arguments.map(|argument| argument.name.as_deref().unwrap_or("_")).collect();
-        match shader::written(module) {
+        match shader::written(module, *entry) {
             Ok(text) => (text, names),
             Err(error) => panic!("{:?} cannot be written as a shader: {error}", self.text),
         }

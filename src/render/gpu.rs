@@ -7,7 +7,7 @@ use crate::error::{Error, Result};
 use crate::fragments::{Background, Fragment, Fragments, Lists};
 use crate::frame::{Frame, Image, Sample, Stats};
 use crate::gpu::form::tiled::RasterPath;
-use crate::gpu::form::{Form, Number, Path, submission};
+use crate::gpu::form::{Form, Number, Path, Sorting, submission};
 use crate::gpu::{Given, Key, Opaque, Shared, View, with_gpu};
 use crate::order::Reorderer;
 use crate::order::{CentroidOrder, SubmissionOrder};
@@ -143,22 +143,36 @@ fn bound(asked: &Asked, source: Source<'_>, view: &params::View, raster: RasterP
     };
     let variant = asked.bind(view)?;
     let mut form = make(&variant.params, view)?;
+    let fragments = match source {
+        Source::Fragments(fragments) => Some(fragments),
+        Source::Scene(_) => None,
+    };
+    if let (Path::Peeled(_), Some(fragments)) = (&form.path, fragments) {
+        // fragments may lie beyond the far plane, which depth buffers end at
+        let farthest = fragments.lists.depth.iter().fold(view.far, |far, &depth| far.max(depth.into()));
+        form = make(&variant.params, &params::View { far: farthest, ..*view })?;
+    }
     if raster == RasterPath::Compute {
         form.tiled_module()?;
     }
+    // lists of a scene are sorted on the device, those that are given before they are taken there
+    let of_lists = |sorted| match sorted {
+        Sorting::Depth if fragments.is_some() => SubmissionOrder::Sorted,
+        _ => SubmissionOrder::AsIs,
+    };
     let order = match (&mut form.path, raster) {
-        // lists are sorted afterwards, and peeling ends ties by the order of ids, in which primitives are then drawn
-        (Path::Peeled(_), _) if matches!(source, Source::Fragments(_)) => SubmissionOrder::Sorted,
-        (Path::Listed(_) | Path::Peeled(_), _) => SubmissionOrder::AsIs,
-        (Path::Streamed(stream), _) if !stream.is_ordered => SubmissionOrder::AsIs,
+        // peeling ends ties by the order of ids, in which primitives are then drawn
+        (Path::Peeled(_), _) => of_lists(Sorting::Depth),
+        (Path::Listed(listing), _) => of_lists(listing.sorted),
+        (Path::Streamed(stream), _) if !stream.is_ordered => of_lists(stream.sorted),
         (Path::Streamed(stream), RasterPath::Hardware) => {
             let (sorted, backwards) = submission(&variant.params)?;
             (stream.sorted, stream.backwards) = (sorted, backwards == Number::Whole(1));
-            SubmissionOrder::AsIs
+            of_lists(sorted)
         }
         (Path::Blended(_) | Path::Streamed(_), _) => variant.order,
     };
-    if matches!(source, Source::Scene(_)) && !order.is_of_primitives() {
+    if fragments.is_none() && !order.is_of_primitives() {
         let given = variant.params.text("submission_order");
         let who = if raster == RasterPath::Compute { "the path \"compute\"" } else { "blend units" };
         let problem =
@@ -227,14 +241,16 @@ impl<'a> Job<'a> {
 
     fn load_fragments(&mut self, fragments: &Fragments, key: Key) -> Result<()> {
         let view = view_of(fragments);
-        if key.listed {
-            return self.shared.load_fragments(key, fragments.view, &view, given(fragments));
-        }
         let centroids = (key.order == SubmissionOrder::Centroid).then(|| fragments.centroid_order());
         let mut reordered = Lists::new();
         let lists = fragments.lists.as_ref();
         Reorderer::default().reorder(lists, key.order, centroids.as_ref(), &mut reordered);
-        self.shared.load(key, fragments.view, &view, points(&reordered, fragments.width), self.stop)
+        if key.listed {
+            return self.shared.load_fragments(key, fragments.view, &view, given(&reordered));
+        }
+        let are_sorted = key.order == SubmissionOrder::Sorted;
+        let points = points(&reordered, fragments.width, are_sorted);
+        self.shared.load(key, fragments.view, &view, points, self.stop)
     }
 
     fn load_scene(&mut self, scene: &Scene, key: Key) -> Result<params::View> {
@@ -341,8 +357,8 @@ fn view_of(fragments: &Fragments) -> View {
     View { width: fragments.width, height: fragments.height, perspective: false, background, opaque }
 }
 
-fn given(fragments: &Fragments) -> Given {
-    let lists = fragments.lists.as_ref();
+fn given(lists: &Lists) -> Given {
+    let lists = lists.as_ref();
     #[expect(clippy::cast_possible_truncation, reason = "a pixel's list is far shorter than 2^32")]
     let counts = (0..lists.len()).map(|pixel| lists.count(pixel) as u32).collect();
     // adding zero makes -0 the 0 that it equals
@@ -351,8 +367,9 @@ fn given(fragments: &Fragments) -> Given {
     Given { counts, keys, colors }
 }
 
-/// Every fragment as a triangle that covers the centre of its pixel and no other.
-fn points(lists: &Lists, width: u32) -> impl Iterator<Item = Drawn<'_>> {
+/// Every fragment as a triangle that covers the centre of its pixel and no other. Of sorted ones the places stand for the
+/// primitives, which may repeat themselves.
+fn points(lists: &Lists, width: u32, are_sorted: bool) -> impl Iterator<Item = Drawn<'_>> {
     const LEG: i32 = 384;
     let width = width as usize;
     let lists = lists.as_ref();
@@ -362,10 +379,12 @@ fn points(lists: &Lists, width: u32) -> impl Iterator<Item = Drawn<'_>> {
         let row = lists.row(pixel);
         (0..row.len()).map(move |i| {
             let fragment = row.get(i);
+            #[expect(clippy::cast_possible_truncation, reason = "a pixel's list is far shorter than 2^32")]
+            let place = i as u32;
             let (left, top) = (256 * x, 256 * y);
             let [r, g, b] = fragment.color;
             Drawn {
-                primitive: fragment.primitive,
+                primitive: if are_sorted { place } else { fragment.primitive },
                 outline: Outline::Triangle([(left, top), (left + LEG, top), (left, top + LEG)]),
                 anchor: (x, y),
                 depth: Linear::default(),

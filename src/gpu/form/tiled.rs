@@ -47,7 +47,7 @@ impl Form {
         parts.extend(self.weight.iter().map(|weight| weight.text.as_str()));
         parts.extend([SHARES_OF_LAYERS, RESOLVE]);
         match &self.path {
-            Path::Listed(_) => return refused("what wants every fragment, sorted,"),
+            Path::Listed(_) => return refused("what keeps lists of fragments"),
             Path::Peeled(_) => return refused("peeling"),
             Path::Streamed(stream) => {
                 layers = format!("const LAYERS = {}u;", stream.layers);
@@ -108,6 +108,8 @@ fn registers(blending: &Blending) -> String {
         let _ = writeln!(take, "    state_{i} = vec4f({color}, {alpha});");
         let _ = writeln!(finish, "    textureStore(target_{i}, pixel_of(id), state_{i});");
     }
+    // what is read back then says so
+    finish.push_str("    if is_cut_short() {\n        bins[0].first = CUT_SHORT;\n    }\n");
     format!(
         "{text}\
          fn begin(pixel: vec2u) {{\n{begin}}}\n\
