@@ -36,13 +36,20 @@ struct Bin {
 const CHUNK = 256u;
 // bins at hand, and tiles of a bin, at most
 const CELLS = 256u;
-// where no bin begins: a loop was ended before it was done
+// more than a bin's tiles have: a loop was ended before it was done
 const CUT_SHORT = 0xffffffffu;
 const TILE = 8u;
 const WORDS = CHUNK / 32u;
 
 // per cell, a bit for each primitive of a chunk
 var<workgroup> marks: array<atomic<u32>, CELLS * WORDS>;
+
+// At the end of whatever loops; what is read back then says so.
+fn tell_if_cut_short() {
+    if is_cut_short() {
+        atomicStore(&bins[0].count_of_tiles, CUT_SHORT);
+    }
+}
 
 fn clear_marks(thread: u32) {
     for (var i = 0u; i < WORDS; i++) {
@@ -210,6 +217,7 @@ fn place_bins(@builtin(local_invocation_index) thread: u32) {
         bins[thread].count = counts.x;
         bins[thread].first_of_tiles = before.y;
     }
+    tell_if_cut_short();
 }
 
 @compute @workgroup_size(CHUNK)
@@ -237,6 +245,7 @@ fn fill_bins(
             }
         }
     }
+    tell_if_cut_short();
 }
 
 var<workgroup> bin_at_hand: vec3u;
@@ -295,4 +304,5 @@ fn fill_tiles(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_ind
         tile_places[thread] += marked(thread, CHUNK);
         workgroupBarrier();
     }
+    tell_if_cut_short();
 }

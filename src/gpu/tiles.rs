@@ -6,7 +6,7 @@ use super::form::tiled::bins_module;
 use super::form::{Blending, Form, Path};
 use super::layouts::{Entry, Layouts, tile_entries};
 use super::picture::{Picture, buffer, bytes_of, texture};
-use super::recorder::{Recorder, Stage, Times};
+use super::recorder::{Recorder, Stage, Times, read};
 use crate::error::{Error, Result};
 use std::ops::Range;
 use std::sync::{Arc, OnceLock};
@@ -191,6 +191,11 @@ fn bin_side(width: u32, height: u32) -> u32 {
     if bins(8) <= CELLS { 8 } else { 16 }
 }
 
+/// Whether all loops came to their ends, which the number of the first bin's tiles tells.
+fn check_bin(connection: &Connection, first_bin: &[u32]) -> Result<()> {
+    if first_bin.last() == Some(&u32::MAX) { Err(connection.cut_short()) } else { Ok(()) }
+}
+
 /// The rows of pixels that rows of bins have.
 fn pixel_rows(height: u32, side: u32, rows: &Range<u32>) -> Range<u32> {
     rows.start * side * TILE..(rows.end * side * TILE).min(height)
@@ -315,10 +320,8 @@ impl Gpu {
             let drawing = Some((&drawing, extent));
             bins.pass((connection, layouts), &mut recorder, &part.rows, &frame, drawing)?;
             // what is read back says whether all loops came to their ends
-            let (first, spent) = recorder.finish::<u32>(&bins.cells, 4)?;
-            if first == [u32::MAX] {
-                return Err(self.connection.cut_short());
-            }
+            let (first_bin, spent): (Vec<u32>, _) = recorder.finish(&bins.cells, 4 * BIN as u64)?;
+            check_bin(connection, &first_bin)?;
             times = times.plus(spent);
         }
         let mut image = Image { times, ..Image::default() };
@@ -350,8 +353,10 @@ impl Gpu {
             let mut recorder = Recorder::new(connection, stop);
             let drawing = Some((&drawing, extent));
             bins.pass((connection, layouts), &mut recorder, &part.rows, &frame, drawing)?;
-            let (texels, times): (Vec<f32>, _) = recorder.finish(&output, bytes)?;
-            image.texels.extend(texels);
+            let sources = [(&output, bytes), (&bins.cells, 4 * BIN as u64)];
+            let (landed, times) = recorder.finish_all(&sources)?;
+            check_bin(connection, &read::<u32>(&landed[1], 4 * BIN as u64)?)?;
+            image.texels.extend(read::<f32>(&landed[0], bytes)?);
             image.times = image.times.plus(times);
         }
         Ok(image)

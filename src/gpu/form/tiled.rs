@@ -108,8 +108,7 @@ fn registers(blending: &Blending) -> String {
         let _ = writeln!(take, "    state_{i} = vec4f({color}, {alpha});");
         let _ = writeln!(finish, "    textureStore(target_{i}, pixel_of(id), state_{i});");
     }
-    // what is read back then says so
-    finish.push_str("    if is_cut_short() {\n        bins[0].first = CUT_SHORT;\n    }\n");
+    finish.push_str("    tell_if_cut_short();\n");
     format!(
         "{text}\
          fn begin(pixel: vec2u) {{\n{begin}}}\n\
