@@ -128,8 +128,6 @@ def render(
     -------
     Frame
         The same image on both paths but for rounding: both cover the same pixels.
-        Software drivers that end long loops may lose fragments of `path="compute"` where a tile has
-        hundreds of thousands of primitives.
 
     Raises
     ------
