@@ -121,6 +121,9 @@ INTERRUPTED = """
 import os, signal, threading, time
 import numpy as np, oitlab
 
+# a shell's background jobs ignore it, and so would this
+signal.signal(signal.SIGINT, signal.default_int_handler)
+
 @oitlab.technique
 def slow(batch):
     threading.Timer(0.2, os.kill, (os.getpid(), signal.SIGINT)).start()
