@@ -119,6 +119,26 @@ pub struct Frame {
     pub stats: Stats,
 }
 
+/// What can be skipped.
+const SKIPS: [&str; 9] = [
+    "empty_tiles",
+    "empty_pixels",
+    "occluded_fragments",
+    "occluded_primitives",
+    "single_fragment_pixels",
+    "hidden_fragments",
+    "one_color_tiles",
+    "layered_tiles",
+    "duplicate_variants",
+];
+
+/// Everything that can be skipped, with how often it was; 0 where nobody counted, as on a backend that does not skip it.
+pub fn skipped(counted: &[(&'static str, u64)]) -> Vec<(&'static str, u64)> {
+    debug_assert!(counted.iter().all(|(name, _)| SKIPS.contains(name)), "{counted:?}");
+    let count = |name| counted.iter().find(|(counted, _)| *counted == name).map_or(0, |(_, count)| *count);
+    SKIPS.iter().map(|name| (*name, count(*name))).collect()
+}
+
 /// What a render took.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Stats {
@@ -142,7 +162,7 @@ pub struct Stats {
     pub dropped: u64,
     /// Fragments for which a weight or bin function of the user's own gave none: see [`crate::params::Reports`].
     pub invalid_weights: u64,
-    /// What was skipped, and how often.
+    /// What was skipped, and how often; see [`skipped`].
     pub skipped: Vec<(&'static str, u64)>,
     /// What rendered it.
     pub backend: &'static str,

@@ -213,6 +213,40 @@ def _render(
     return [_diagnosed(frame, images) for frame, images in zip(frames, found, strict=True)]
 
 
+def check_variants(
+    source: Scene | Fragments,
+    variants: Iterable[Variant],
+    backend: str = "cpu",
+    *,
+    asks_device: bool = True,
+) -> None:
+    """Refuse what `render_many` would refuse of variants before it draws anything.
+
+    Parameters
+    ----------
+    source : Scene or Fragments
+        What they are to be rendered of.
+    variants : iterable of (technique, params) or of technique ids
+        Of which nothing is rendered.
+    backend : {"cpu", "gpu"}
+        Where.
+    asks_device : bool
+        Whether the device of this process is asked for what it lacks, too; False needs no device.
+
+    Raises
+    ------
+    ValueError, RuntimeError
+        As `render`.
+    """
+    requested = [checked_variant(variant) for variant in variants]
+    _check_backend(backend, requested)
+    jobs = [(one.technique, one.params) for one in (bind(*variant) for variant in requested)]
+    if backend == "gpu":
+        _oitlab.check_gpu(source._handle, jobs, "hardware", asks_device)
+    else:
+        _oitlab.check(source._handle, jobs)
+
+
 @contextmanager
 def silent_weights() -> Iterator[None]:
     """Leave it to the caller to tell of `Stats.invalid_weights`."""

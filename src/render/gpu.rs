@@ -5,7 +5,7 @@ use super::request::Asked;
 use super::{Options, Request, Source, with_threads};
 use crate::error::{Error, Result};
 use crate::fragments::{Background, Fragment, Fragments, Lists};
-use crate::frame::{Frame, Image, Sample, Stats};
+use crate::frame::{Frame, Image, Sample, Stats, skipped};
 use crate::gpu::form::tiled::RasterPath;
 use crate::gpu::form::{Form, Number, Path, Sorting, submission};
 use crate::gpu::{Given, Key, Opaque, Shared, View, with_gpu};
@@ -45,17 +45,14 @@ pub fn render_on_gpu(
     stop: &(dyn Fn() -> bool + Sync),
 ) -> Result<Vec<Frame>> {
     let asked = requests.iter().map(Request::check).collect::<Result<Vec<_>>>()?;
-    let provisional = match source {
-        Source::Scene(scene) => raster::provisional_view(scene),
-        Source::Fragments(fragments) => fragments.view,
-    };
-    asked.iter().try_for_each(|asked| bound(asked, source, &provisional, raster).map(drop))?;
+    let forms = forms(&asked, source, raster)?;
     if asked.is_empty() {
         return Ok(Vec::new());
     }
     let start = Instant::now();
     with_threads(options.threads, |threads| {
         with_gpu(|shared| {
+            fit(shared, &forms, raster)?;
             let mut job = Job::new(source, shared, stop);
             let range = job.range()?;
             let mut answers: Vec<(Bound, Answer)> = Vec::new();
@@ -81,6 +78,36 @@ pub fn render_on_gpu(
             Ok(frames)
         })
     })
+}
+
+/// Refuses what [`render_on_gpu`] would refuse of these requests before it draws anything. Whether a device can do what is
+/// left is asked of that of this process, or of none.
+///
+/// # Errors
+/// As [`render_on_gpu`].
+pub fn check_on_gpu(
+    source: Source<'_>,
+    requests: &[Request],
+    raster: RasterPath,
+    asks_device: bool,
+) -> Result<()> {
+    let asked = requests.iter().map(Request::check).collect::<Result<Vec<_>>>()?;
+    let forms = forms(&asked, source, raster)?;
+    if asks_device { with_gpu(|shared| fit(shared, &forms, raster)) } else { Ok(()) }
+}
+
+/// The forms of what is asked for, bound to what is known of the view before anything is set up.
+fn forms(asked: &[Asked], source: Source<'_>, raster: RasterPath) -> Result<Vec<Form>> {
+    let view = source.provisional_view();
+    asked.iter().map(|asked| bound(asked, source, &view, raster).map(|bound| bound.form)).collect()
+}
+
+/// Refuses forms that the device lacks something for.
+fn fit(shared: &Shared, forms: &[Form], raster: RasterPath) -> Result<()> {
+    match raster {
+        RasterPath::Hardware => forms.iter().try_for_each(|form| shared.connection().fits(form)),
+        RasterPath::Compute => Ok(()), // keeps everything in registers
+    }
 }
 
 /// The fragments of every pixel of `scene` as the GPU finds them, in submission order. They are those of [`super::capture`]
@@ -428,7 +455,7 @@ impl Answer {
                 bytes_per_pixel: cost.bytes_per_pixel,
                 dropped: 0,
                 invalid_weights: self.invalid_weights,
-                skipped: vec![("duplicate_variants", u64::from(duplicate))],
+                skipped: skipped(&[("duplicate_variants", u64::from(duplicate))]),
                 backend: "gpu",
                 threads,
             },
