@@ -39,5 +39,6 @@ fn resolve(@builtin(global_invocation_id) id: vec3u) {
     }
     let count = max(textureLoad(count_target, texel_of(pixel_of(id)), 0).x, 1.0);
     let shares = repeated(min(sums.a / count, 1.0), u32(count));
-    store(id, shares.x * (sums.rgb / sums.a) + shares.y * background, shares.y);
+    // what they cover is at most the sum of alphas: the other way round, bright colours would leave f32
+    store(id, (shares.x / sums.a) * sums.rgb + shares.y * background, shares.y);
 }
