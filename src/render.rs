@@ -48,6 +48,15 @@ pub enum Source<'a> {
 }
 
 impl Source<'_> {
+    /// Columns and rows of its image.
+    #[cfg(feature = "gpu")]
+    fn size(self) -> (u32, u32) {
+        match self {
+            Self::Scene(scene) => (scene.width(), scene.height()),
+            Self::Fragments(fragments) => (fragments.width, fragments.height),
+        }
+    }
+
     /// What is known of the view before anything is set up.
     fn provisional_view(self) -> View {
         match self {

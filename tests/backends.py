@@ -27,7 +27,7 @@ F32 = 2.0**-24
 def refusal(
     source: oitlab.Scene | oitlab.Fragments, technique: str, params: Mapping[str, Any], backend: str
 ) -> str:
-    """Tell why a backend has no form of what the CPU, which is the definition, renders; empty where it has one."""
+    """Tell why a backend has no form of what the CPU renders; empty where it has one."""
     check_variants(source, [(technique, params)])
     try:
         check_variants(source, [(technique, params)], backend)

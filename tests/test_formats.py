@@ -42,6 +42,8 @@ def test_every_format_of_every_target_gives_a_finite_image(
     plain = oitlab.render(small_scene, entry.id, backend=backend)
     names = [param for param in entry.params if param.name == "format" or param.name.endswith("_format")]
     assert len(names) >= 2
+    if backend == "gpu":  # a pipeline each: those of single targets are in test_gpu_formats.py
+        names = [param for param in names if param.name == "format"]
     for param in names:
         for chosen in param.range.removeprefix("one of ").replace('"', "").split(", "):
             if refusal(small_scene, entry.id, {param.name: chosen}, backend):

@@ -16,7 +16,9 @@ from gpu_scenes import (
     CONFORMS,
     DECIDING,
     DEVICE,
+    F32,
     PARAMS,
+    ROUNDINGS,
     SCENES,
     SHARE_OF_EQUAL_DEPTHS,
     VARYING_COLOR,
@@ -275,6 +277,9 @@ def test_a_device_that_is_not_there_is_an_error_that_helps() -> None:
     done = with_environment(code, **no_driver)
     assert 'RuntimeError: backend "gpu": no adapter' in done.stderr
     assert "apt-get install mesa-vulkan-drivers" in done.stderr
+    for names in ("nonsense", "vulkan,nonsense", ""):
+        done = with_environment(code, WGPU_BACKEND=names)
+        assert f'the environment has WGPU_BACKEND="{names}"; allowed are, between commas, ' in done.stderr
     done = with_environment(code, OITLAB_GPU_BUFFER_BYTES="many")
     assert 'OITLAB_GPU_BUFFER_BYTES="many" is not a number of bytes' in done.stderr
 
@@ -308,6 +313,23 @@ def test_what_the_device_does_not_do_is_refused_by_name(
 ) -> None:
     with pytest.raises(ValueError, match=re.escape(message)):
         oitlab.render(SCENES["blades"], technique, params, backend="gpu", **keywords)
+
+
+def test_sums_beyond_single_precision_are_read_as_on_the_cpu() -> None:
+    bright = oitlab.Fragments(
+        width=1,
+        height=1,
+        offsets=[0, 40],
+        depth=np.linspace(1, 2, 40),
+        color=[(1e38, 1.0, 0.0)] * 40,
+        alpha=[1e-3] * 40,
+        background=(0.5, 0.5, 0.5),
+    )
+    for technique in ("weighted_sum", "weighted_average", "blended_oit", "wboit", "phenomenological"):
+        got, expected = (oitlab.render(bright, technique, backend=backend) for backend in ("gpu", "cpu"))  # type: ignore[arg-type]
+        # coverage, 0.04, is what 40 factors leave of 1 in f32
+        rounding = (40 + ROUNDINGS) * 2 * F32 / 0.04
+        np.testing.assert_allclose(got.color, expected.color, rtol=rounding)
 
 
 def test_what_is_no_scene_is_not_captured() -> None:

@@ -144,6 +144,17 @@ def test_what_the_device_does_not_do_is_refused_before_any_work(
     assert list(tmp_path.iterdir()) == []
 
 
+def test_images_beyond_the_device_are_refused_before_any_work(rendered: list[Any]) -> None:
+    assert DEVICE is not None
+    side = DEVICE.limits["image_side"] + 1
+    if side > 16_384:
+        pytest.skip(f"no image has {side} pixels along a side")
+    wide = oitlab.scenes.squares(width=side, height=1)
+    with pytest.raises(ValueError, match=f"width: {side} is more than"):
+        sweep([wide.replace(width=1), wide], {"wboit": None}, backend=BOTH)
+    assert rendered == []
+
+
 def test_the_command_line_sweeps_on_both(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     from oitlab.cli import main
 

@@ -70,7 +70,9 @@ SIZE = {"cpu": {"width": 320, "height": 180}, "gpu": {"width": 96, "height": 54}
 
 @pytest.mark.parametrize("name", ["squares", "soup", "smoke", "shells", "blades"])
 def test_the_reference_is_the_composite_of_the_captured_fragments(name: str, backend: Any) -> None:
-    small = {"shells": {"subdivisions": 4}, "soup": {"count": 20_000}}.get(name, {}) if backend == "gpu" else {}
+    small = (
+        {"shells": {"subdivisions": 4}, "soup": {"count": 20_000}}.get(name, {}) if backend == "gpu" else {}
+    )
     scene = oitlab.scenes.SCENES[name](**SIZE[backend], **small)
     fragments = captured(scene, backend)
     exact = composite(fragments)

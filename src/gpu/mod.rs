@@ -32,6 +32,6 @@ mod tiles;
 #[cfg(feature = "gpu")]
 pub use info::{Info, info};
 #[cfg(feature = "gpu")]
-pub(crate) use picture::{Given, Opaque, View};
+pub(crate) use picture::{Given, Opaque, View, check_size};
 #[cfg(feature = "gpu")]
 pub(crate) use shared::{Key, Shared, with_gpu};

@@ -262,7 +262,10 @@ impl Picture {
 }
 
 /// Refuses images that the device has no textures or buffers for.
-fn check_size(connection: &Connection, width: u32, height: u32) -> Result<()> {
+///
+/// # Errors
+/// [`Error::Argument`] that says how large they may be.
+pub fn check_size(connection: &Connection, width: u32, height: u32) -> Result<()> {
     let limits = &connection.limits;
     let most = limits.max_texture_dimension_2d;
     for (name, extent) in [("width", width), ("height", height)] {

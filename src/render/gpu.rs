@@ -8,7 +8,7 @@ use crate::fragments::{Background, Fragment, Fragments, Lists};
 use crate::frame::{Frame, Image, Sample, Stats, skipped};
 use crate::gpu::form::tiled::RasterPath;
 use crate::gpu::form::{Form, Number, Path, Sorting, submission};
-use crate::gpu::{Given, Key, Opaque, Shared, View, with_gpu};
+use crate::gpu::{Given, Key, Opaque, Shared, View, check_size, with_gpu};
 use crate::order::Reorderer;
 use crate::order::{CentroidOrder, SubmissionOrder};
 use crate::params::{self, Params};
@@ -52,7 +52,7 @@ pub fn render_on_gpu(
     let start = Instant::now();
     with_threads(options.threads, |threads| {
         with_gpu(|shared| {
-            fit(shared, &forms, raster)?;
+            fit(shared, source, &forms, raster)?;
             let mut job = Job::new(source, shared, stop);
             let range = job.range()?;
             let mut answers: Vec<(Bound, Answer)> = Vec::new();
@@ -93,7 +93,7 @@ pub fn check_on_gpu(
 ) -> Result<()> {
     let asked = requests.iter().map(Request::check).collect::<Result<Vec<_>>>()?;
     let forms = forms(&asked, source, raster)?;
-    if asks_device { with_gpu(|shared| fit(shared, &forms, raster)) } else { Ok(()) }
+    if asks_device { with_gpu(|shared| fit(shared, source, &forms, raster)) } else { Ok(()) }
 }
 
 /// The forms of what is asked for, bound to what is known of the view before anything is set up.
@@ -102,8 +102,10 @@ fn forms(asked: &[Asked], source: Source<'_>, raster: RasterPath) -> Result<Vec<
     asked.iter().map(|asked| bound(asked, source, &view, raster).map(|bound| bound.form)).collect()
 }
 
-/// Refuses forms that the device lacks something for.
-fn fit(shared: &Shared, forms: &[Form], raster: RasterPath) -> Result<()> {
+/// Refuses images and forms that the device lacks something for.
+fn fit(shared: &Shared, source: Source<'_>, forms: &[Form], raster: RasterPath) -> Result<()> {
+    let (width, height) = source.size();
+    check_size(shared.connection(), width, height)?;
     match raster {
         RasterPath::Hardware => forms.iter().try_for_each(|form| shared.connection().fits(form)),
         RasterPath::Compute => Ok(()), // keeps everything in registers
@@ -235,11 +237,11 @@ struct Answer {
 
 impl<'a> Job<'a> {
     fn new(source: Source<'a>, shared: &'a mut Shared, stop: &'a (dyn Fn() -> bool + Sync)) -> Self {
-        let (hash, size) = match source {
-            Source::Scene(scene) => (scene.content_hash(), (scene.width(), scene.height())),
-            Source::Fragments(fragments) => (fragments.content_hash(), (fragments.width, fragments.height)),
+        let hash = match source {
+            Source::Scene(scene) => scene.content_hash(),
+            Source::Fragments(fragments) => fragments.content_hash(),
         };
-        Self { source, shared, hash, size, stop }
+        Self { source, shared, hash, size: source.size(), stop }
     }
 
     /// What is on the device for a form of lists, or one that draws in this order.

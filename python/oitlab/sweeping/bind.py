@@ -57,7 +57,7 @@ def bound(
     seeds: Sequence[int] | None,
     backends: Sequence[Backend] = ("cpu",),
 ) -> list[Variant]:
-    """Resolve requests on a source; each distinct variant once, in order, and the backends of each side by side.
+    """Resolve requests on a source; each distinct variant once, in order, its backends side by side.
 
     Parameters
     ----------

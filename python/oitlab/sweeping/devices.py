@@ -29,16 +29,16 @@ def checked_backends(backend: Any) -> list[Backend]:
 
 
 def device_of(
-    executor: Executor | None, source: Scene | Fragments, variants: Sequence[Variant]
+    executor: Executor | None, sources: Sequence[Scene | Fragments], variants: Sequence[Variant]
 ) -> str:
     """Name the device that is to render variants, once it has said that it can.
 
     Parameters
     ----------
     executor : Executor, optional
-        Whose workers have the device; one of them is asked. None: this process.
-    source : Scene or Fragments
-        Of which they are rendered.
+        Whose workers have the device; one of them is asked, of the variants alone. None: this process.
+    sources : sequence of Scene or Fragments
+        Of which they are rendered; there is one at least.
     variants : sequence of Variant
         All variants of the GPU.
 
@@ -49,11 +49,13 @@ def device_of(
     ValueError
         What the device lacks.
     """
-    pixel, requests = _empty_pixel(source), [variant.request for variant in variants]
-    if executor is None:
-        return _able(pixel, requests)
-    named: str = executor.submit(_able_worker, pickle.dumps((pixel, requests))).result()
-    return named
+    pixel, requests = _empty_pixel(sources[0]), [variant.request for variant in variants]
+    if executor is not None:
+        device: str = executor.submit(_able_worker, pickle.dumps((pixel, requests))).result()
+        return device
+    for source in sources:
+        check_variants(source, [], "gpu")  # its size
+    return _able(pixel, requests)
 
 
 def _able_worker(message: bytes) -> str:
@@ -76,5 +78,6 @@ def check_same(device: str) -> None:
     here = named()
     if here != device:
         raise RuntimeError(
-            f"this sweep's rows are of the device {device!r}, and a worker has {here!r}; run one sweep per device"
+            f"this sweep's rows are of the device {device!r}, and a worker has {here!r}; "
+            "run one sweep per device"
         )

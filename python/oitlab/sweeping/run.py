@@ -128,8 +128,8 @@ def sweep(
         Show a progress bar.
     backend : {"cpu", "gpu"} or iterable of them
         Where variants are rendered, as in `oitlab.render`; several are an axis of the grid that runs fastest.
-        References are always rendered on the CPU. With an executor, its workers have the device: start processes
-        by "spawn", since a fork of a process that has used the GPU cannot.
+        References are always rendered on the CPU. With an executor, its workers have the device: start
+        processes by "spawn", since a fork of a process that has used the GPU cannot use it.
 
     Returns
     -------
@@ -179,9 +179,10 @@ def sweep(
     -----
     A stored row is taken for the one that is wanted if these agree: scene, technique (its code, where it is
     your own) and params with effect; reference; metrics and their options; `repeats` and `measure_memory`;
-    oitlab's version and compiled core; backend and, on the GPU, the device with its driver. A scene's name, `threads`, `group` and `executor` may differ. A
-    function counts by its bytecode, constants, defaults, attributes, closure and what it uses of its own
-    package and of modules without a version; what it calls elsewhere counts by name and version.
+    oitlab's version and compiled core; backend and, on the GPU, the device with its driver. A scene's name,
+    `threads`, `group` and `executor` may differ. A function counts by its bytecode, constants, defaults,
+    attributes, closure and what it uses of its own package and of modules without a version; what it calls
+    elsewhere counts by name and version.
 
     Examples
     --------
@@ -213,7 +214,7 @@ def sweep(
     show = flag(progress, "progress")
     backends = checked_backends(backend)
     if remembers and "gpu" in backends:
-        raise ValueError('measure_memory: a process\'s memory is not the device\'s; it is for backend="cpu"')
+        raise ValueError("measure_memory: a process's memory is not the device's; it is for backend=\"cpu\"")
     _check_executor(executor)
     packages = plan.packages_of(named, reference)
     measure = measure_of(metrics, metric_options, has_reference=reference is not None)
@@ -225,7 +226,7 @@ def sweep(
     device = None
     if "gpu" in backends:
         drawn = {row.variant.identity: row.variant for row in wanted if row.variant.backend == "gpu"}
-        device = device_of(executor, next(iter(named.values())), list(drawn.values()))
+        device = device_of(executor, list(named.values()), list(drawn.values()))
         wanted = plan.on_device(wanted, device)
 
     largest = plan.LARGEST_GROUP if executor is None else plan.LARGEST_TASK
