@@ -280,6 +280,11 @@ def test_a_device_that_is_not_there_is_an_error_that_helps() -> None:
     for names in ("nonsense", "vulkan,nonsense", ""):
         done = with_environment(code, WGPU_BACKEND=names)
         assert f'the environment has WGPU_BACKEND="{names}"; allowed are, between commas, ' in done.stderr
+    arguments = ["compare", "scene:squares", "--backend", "gpu"]
+    command = f"import oitlab.cli; raise SystemExit(oitlab.cli.main({arguments}))"
+    done = with_environment(command, WGPU_BACKEND="nonsense")
+    assert done.returncode == 2
+    assert done.stderr.splitlines()[-1].startswith('oitlab: error: backend "gpu": the environment has')
     done = with_environment(code, OITLAB_GPU_BUFFER_BYTES="many")
     assert 'OITLAB_GPU_BUFFER_BYTES="many" is not a number of bytes' in done.stderr
 

@@ -170,7 +170,7 @@ def test_numbers_at_the_ends_of_single_precision_stay_numbers(technique: str, ba
 
 
 def values_of(param: oitlab.ParamInfo) -> list[Any]:
-    """Give values worth trying, some of which the param may refuse; test_gpu_formats.py has narrow formats."""
+    """Give values worth trying, some of which it may refuse; test_gpu_formats.py has narrow formats."""
     words: list[Any] = re.findall(r'"([^"]+)"', param.range)
     if "format" in param.name:
         return ["f32", "f64"]

@@ -193,8 +193,7 @@ def _render(
     if isinstance(variants, str) or not isinstance(variants, Iterable):
         raise ValueError(f"variants must be an iterable of ids or (id, params), got {variants!r}")
     requested = [checked_variant(variant) for variant in variants]
-    if not isinstance(source, Scene | Fragments):
-        raise ValueError(f"source must be a Scene or Fragments, got {type(source).__name__}")
+    _check_source(source)
     _check_backend(backend, requested)
     diagnosed = flag(diagnostics, "diagnostics")
     options = _threads(threads), flag(skip, "skip"), _is_float64(dtype)
@@ -239,6 +238,7 @@ def check_variants(
         As `render`.
     """
     requested = [checked_variant(variant) for variant in variants]
+    _check_source(source)
     _check_backend(backend, requested)
     jobs = [(one.technique, one.params) for one in (bind(*variant) for variant in requested)]
     if backend == "gpu":
@@ -329,6 +329,11 @@ def bind(technique: str, params: dict[str, Any]) -> Bound:
         return Bound(technique, params)
     resolved = entry.definition.resolved(params)
     return Bound(entry.definition.bound(resolved), resolved, entry.definition)
+
+
+def _check_source(source: Any) -> None:
+    if not isinstance(source, Scene | Fragments):
+        raise ValueError(f"source must be a Scene or Fragments, got {type(source).__name__}")
 
 
 def _check_backend(backend: str, variants: Iterable[tuple[str, dict[str, Any]]]) -> None:
