@@ -20,7 +20,8 @@ HULL = 1e-5
 """How far a mean of float32 sums may leave its colours' hull, relative to the largest of them."""
 SEES_ZERO_FRAGMENTS = {"weighted_average"}
 
-EXAMPLES = {"cpu": 40, "gpu": 8}
+quick = settings(max_examples=40, derandomize=True, deadline=None, database=None)
+EXAMPLES = {"cpu": quick.max_examples, "gpu": 8}
 """For each example a device gets a job per technique, however few pixels there are."""
 unit = st.floats(0, 1, width=32)
 depths = st.one_of(st.sampled_from([0.0, 1.0, 2.5, 2.5000002, 9.0]), st.floats(0, 100, width=32))
@@ -33,10 +34,9 @@ pixels = st.lists(st.lists(layers, max_size=12), min_size=2, max_size=2)
 
 def for_all(backend: str, *strategies: st.SearchStrategy[Any]) -> Callable[[Callable[..., None]], None]:
     """Check what follows on examples of the strategies."""
-    quick = settings(max_examples=EXAMPLES[backend], derandomize=True, deadline=None, database=None)
 
     def run(check: Callable[..., None]) -> None:
-        quick(given(*strategies)(check))()
+        settings(quick, max_examples=EXAMPLES[backend])(given(*strategies)(check))()
 
     return run
 
