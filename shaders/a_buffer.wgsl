@@ -1,17 +1,19 @@
 // The A-buffer (Carpenter 1984): every fragment, sorted, front to back.
 
-@compute @workgroup_size(8, 8)
-fn composite(@builtin(global_invocation_id) id: vec3u) {
-    if is_outside(id) {
-        return;
-    }
-    let list = list_of(pixel_of(id));
-    var color = vec3f(0.0);
-    var transmittance = 1.0;
-    for (var i = 0u; i < list.y; i++) {
-        let fragment = colors[list.x + i];
-        color += transmittance * fragment.rgb;
-        transmittance *= 1.0 - fragment.a;
-    }
+var<private> color: vec3f;
+var<private> transmittance: f32;
+
+fn begin(pixel: vec2u) {
+    color = vec3f(0.0);
+    transmittance = 1.0;
+}
+
+// Nearest first.
+fn take(fragment: Fragment) {
+    color += transmittance * fragment.color;
+    transmittance *= 1.0 - fragment.alpha;
+}
+
+fn finish(id: vec3u) {
     store(id, color + transmittance * background_at(pixel_of(id)), transmittance);
 }

@@ -34,7 +34,25 @@ BLENDED = (
     "wboit",
     "phenomenological",
 )
-STREAMED = ("mlab", "k_buffer", "multilayer_depth_peeling")
+LAYERED = (
+    "mlab",
+    "k_buffer",
+    "multilayer_depth_peeling",
+    "z3",
+    "mlcb",
+    "adaptive_transparency",
+    "hybrid_transparency",
+    "avsm",
+)
+STREAMED = (
+    *LAYERED,
+    "mlab_buckets",
+    "a_buffer",
+    "slab",
+    "stochastic_transparency",
+    "screen_door",
+    "alpha_testing",
+)
 TILED = BLENDED + STREAMED
 
 
@@ -93,7 +111,7 @@ def test_orders_of_primitives_are_those_of_the_cpu(technique: str, order: str) -
     assert np.abs(got.color - expected.color).max() <= tolerance(scene, expected)
 
 
-@pytest.mark.parametrize("technique", STREAMED)
+@pytest.mark.parametrize("technique", LAYERED)
 def test_any_number_of_layers_is_kept(technique: str) -> None:
     for layers in (1, 2, 5, 32):
         agree(SCENES["squares"], technique, {"layers": layers})

@@ -225,7 +225,16 @@ fn fragment_of(placed: Placed) -> Fragment {
     return fragment;
 }
 
-// Keys: the bits of the depth, which ascend with it, and the primitive.
+// Premultiplied.
+fn rgba(fragment: Fragment) -> vec4f {
+    return vec4f(fragment.color, fragment.alpha);
+}
+
+// Keys: the bits of the depth, which ascend with it, and the primitive. Adding zero makes -0 the 0 that it equals.
+fn key_of(fragment: Fragment) -> vec2u {
+    return vec2u(bitcast<u32>(fragment.depth + 0.0), fragment.primitive);
+}
+
 fn comes_before_by_depth(a: vec2u, b: vec2u) -> bool {
     return a.x < b.x || (a.x == b.x && a.y < b.y);
 }

@@ -122,19 +122,51 @@ pub enum Path {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Streaming {
     /// How many layers a pixel keeps, for shaders that keep `LAYERS`.
-    pub layers: u32,
-    /// Whether it depends on the order in which they come.
-    pub is_ordered: bool,
+    pub layers: Option<u32>,
+    /// Other sizes of what a pixel keeps, which the shader has as constants of these names.
+    pub sizes: Vec<(&'static str, u32)>,
     /// How lists are sorted, ...
     pub sorted: Sorting,
     /// ... and whether they are read from their end.
     pub backwards: bool,
+    /// Whether a pixel may want all of its fragments once more, which the shader's `again` says.
+    pub walks_again: bool,
 }
 
 impl Streaming {
-    /// One that keeps layers.
-    pub fn of_layers(layers: u32, is_ordered: bool) -> Self {
-        Self { layers, is_ordered, sorted: Sorting::Depth, backwards: false }
+    fn sorted(sorted: Sorting, backwards: bool) -> Self {
+        Self { layers: None, sizes: Vec::new(), sorted, backwards, walks_again: false }
+    }
+
+    /// One that takes fragments in whatever order.
+    pub fn in_any_order() -> Self {
+        Self::sorted(Sorting::Submission, false)
+    }
+
+    /// One that takes the nearest fragment first.
+    pub fn nearest_first() -> Self {
+        Self::sorted(Sorting::Depth, false)
+    }
+
+    /// One that takes fragments as the param `submission_order` has them.
+    pub fn as_submitted(params: &Params) -> Self {
+        let (sorted, backwards) = submission(params);
+        Self::sorted(sorted, backwards)
+    }
+
+    /// The same with so many layers.
+    pub fn of_layers(self, layers: u32) -> Self {
+        Self { layers: Some(layers), ..self }
+    }
+
+    /// The same with sizes of other things.
+    pub fn of_sizes(self, sizes: Vec<(&'static str, u32)>) -> Self {
+        Self { sizes, ..self }
+    }
+
+    /// The same where a pixel may want all of its fragments once more.
+    pub fn in_walks(self) -> Self {
+        Self { walks_again: true, ..self }
     }
 }
 
@@ -193,24 +225,19 @@ pub enum Sorting {
     Depth,
     /// As the fragments were submitted.
     Submission,
+    /// As whole primitives come in the order that is asked for.
+    Rank,
 }
 
 /// The order in which a technique is handed a pixel's fragments: how lists are sorted for it, and whether they are read from
 /// their end.
-///
-/// # Errors
-/// `Error::Param` for orders that lists are not sorted in.
-pub fn submission(params: &Params) -> Result<(Sorting, Number)> {
+pub fn submission(params: &Params) -> (Sorting, bool) {
     match params.text("submission_order") {
-        "as_is" => Ok((Sorting::Submission, Number::Whole(0))),
-        "reversed" => Ok((Sorting::Submission, Number::Whole(1))),
-        "sorted" => Ok((Sorting::Depth, Number::Whole(0))),
-        "back_to_front" => Ok((Sorting::Depth, Number::Whole(1))),
-        other => {
-            let problem = format!("submission_order={other:?} has no form on the backend \"gpu\" for lists");
-            Err(params
-                .error(problem, "there it is one of \"as_is\", \"reversed\", \"sorted\", \"back_to_front\""))
-        }
+        "as_is" => (Sorting::Submission, false),
+        "reversed" => (Sorting::Submission, true),
+        "sorted" => (Sorting::Depth, false),
+        "back_to_front" => (Sorting::Depth, true),
+        _ => (Sorting::Rank, false),
     }
 }
 
@@ -278,7 +305,12 @@ pub mod blocks {
     pub const BINS: &str = include_str!("../../shaders/blocks/bins.wgsl");
 }
 const STREAM: &str = include_str!("../../shaders/blocks/stream.wgsl");
+const WALKS: &str = include_str!("../../shaders/blocks/walks.wgsl");
+/// In place of a technique's own `again`.
+const ONE_WALK: &str = "fn again() -> bool { return false; }";
 const TILE_BINS: &str = include_str!("../../shaders/blocks/tile_bins.wgsl");
+const TILE_STREAM: &str = include_str!("../../shaders/blocks/tile_stream.wgsl");
+const TILE_WINDOW: &str = include_str!("../../shaders/blocks/tile_window.wgsl");
 const TILES: &str = include_str!("../../shaders/blocks/tiles.wgsl");
 const BACKGROUND: &str = include_str!("../../shaders/blocks/background.wgsl");
 
@@ -318,12 +350,23 @@ pub fn masking(params: &Params, name: &str, stratified: bool) -> [Number; 4] {
     [saturated(params.size(name)), Number::Whole(stratified.into()), low, high]
 }
 
-impl Listing {
-    fn constants(&self) -> String {
-        let layers = self.layers.map(|count| ("LAYERS", count));
-        let all = layers.iter().chain(&self.sizes);
-        all.map(|(name, size)| format!("const {name} = {size}u;\n")).collect::<Vec<_>>().concat()
+/// What a shader keeps, as its constants.
+fn constants(layers: Option<u32>, sizes: &[(&'static str, u32)]) -> String {
+    let layers = layers.map(|count| ("LAYERS", count));
+    let all = layers.iter().chain(sizes);
+    all.map(|(name, size)| format!("const {name} = {size}u;\n")).collect::<Vec<_>>().concat()
+}
+
+/// The blocks that lists and streams may use, some of which want such constants.
+fn blocks_of_fragments(layers: Option<u32>, sizes: &[(&'static str, u32)]) -> Vec<&'static str> {
+    let mut blocks = vec![RANDOM, CHANCE, ABSORBANCE, SUMS_OF_LISTS];
+    if layers.is_some() {
+        blocks.push(LAYERS);
     }
+    if sizes.iter().any(|(name, _)| *name == MASK_WORDS) {
+        blocks.push(MASKS);
+    }
+    blocks
 }
 
 impl Form {
@@ -337,28 +380,36 @@ impl Form {
         let mut parts = vec![FRAME, DOUBLE, FRAGMENT, WEIGHT_BOUNDS];
         parts.extend(self.weight.iter().map(|weight| weight.text.as_str()));
         parts.extend([SHARES_OF_LAYERS, RESOLVE]);
-        let constants;
+        let sized;
         match &self.path {
             Path::Blended(blending) => parts.extend(blending.blocks),
-            Path::Listed(listing) => {
-                constants = listing.constants();
-                parts.extend([LISTS, RANDOM, CHANCE, ABSORBANCE, SUMS_OF_LISTS, &constants]);
-                if listing.layers.is_some() {
-                    parts.push(LAYERS);
-                }
-                if listing.sizes.iter().any(|(name, _)| *name == MASK_WORDS) {
-                    parts.push(MASKS);
-                }
+            Path::Listed(Listing { layers, sizes, .. }) => {
+                sized = constants(*layers, sizes);
+                parts.extend([LISTS, &sized]);
+                parts.extend(blocks_of_fragments(*layers, sizes));
             }
             Path::Streamed(stream) => {
-                constants = format!("const LAYERS = {}u;", stream.layers);
-                parts.extend([LISTS, constants.as_str(), LAYERS, STREAM]);
+                sized = constants(stream.layers, &stream.sizes);
+                parts.extend([LISTS, &sized]);
+                parts.extend(stream.blocks());
+                parts.push(STREAM);
             }
             // params may ask for lists instead, which are in the same file
             Path::Peeled(_) => parts.extend([BACKGROUND, LISTS]),
         }
         parts.push(self.shader);
         parts.join("\n")
+    }
+}
+
+impl Streaming {
+    fn blocks(&self) -> Vec<&'static str> {
+        let mut blocks = vec![WALKS];
+        blocks.extend(blocks_of_fragments(self.layers, &self.sizes));
+        if !self.walks_again {
+            blocks.push(ONE_WALK);
+        }
+        blocks
     }
 }
 

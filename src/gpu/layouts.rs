@@ -183,7 +183,7 @@ impl Layouts {
             geometry: layout("geometry", &[0, 1, 2].map(|binding| entry(binding, buffer(READ)))),
             targets: HashMap::new(),
             tiles: layout("tiles", &tile_entries(&[])),
-            lists: layout("lists", &[0, 1, 2, 3, 4, 5].map(written)),
+            lists: layout("lists", &[0, 1, 2, 3, 4, 5, 6].map(written)),
             peeled_keys: layout("peeled keys", &[entry(0, WORDS), entry(1, TEXTURE), in_fragments(2)]),
             peeled_depths: layout("peeled depths", &[entry(0, TEXTURE), entry(1, TEXTURE), in_fragments(2)]),
             output: layout("output", &[written(0)]),

@@ -51,7 +51,7 @@ impl Gpu {
         let places = storage("places", picture.counts.size());
         let (row_sums, row_places) = (storage("row sums", 8 * rows), storage("row places", 4 * rows));
         let (keys, colors) = (storage("keys", KEY * fragments), storage("colors", COLOR * fragments));
-        let all = [&picture.counts, &places, &row_sums, &row_places, &keys, &colors];
+        let all = [&picture.counts, &places, &row_sums, &row_places, &keys, &colors, &picture.ranks];
         let group = group(&self.connection, &self.layouts.lists, &all.map(Buffer::as_entire_binding));
         ListBuffers { group, places, row_sums, row_places, keys, colors }
     }
@@ -227,8 +227,13 @@ fn sort_lists(
     }
     let module = list_module();
     let entry = |point| Entry { module: &module, point };
-    let by_submission = [("by_submission", f64::from(u8::from(sorting == Sorting::Submission)))];
-    let sort = layouts.compute(&connection.device, entry("sort_lists"), Reads::Lists, false, &by_submission);
+    let sorting = match sorting {
+        Sorting::Depth => 0.0,
+        Sorting::Submission => 1.0,
+        Sorting::Rank => 2.0,
+    };
+    let constants = [("sorting", sorting)];
+    let sort = layouts.compute(&connection.device, entry("sort_lists"), Reads::Lists, false, &constants);
     dispatch(recorder, Stage::Resolve, &sort, &groups, picture, band)
 }
 

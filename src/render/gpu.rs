@@ -7,7 +7,7 @@ use crate::error::{Error, Result};
 use crate::fragments::{Background, Fragment, Fragments, Lists};
 use crate::frame::{Frame, Image, Sample, Stats};
 use crate::gpu::form::tiled::RasterPath;
-use crate::gpu::form::{Form, Number, Path, Sorting, submission};
+use crate::gpu::form::{Form, Path, Sorting};
 use crate::gpu::{Given, Key, Opaque, Shared, View, with_gpu};
 use crate::order::Reorderer;
 use crate::order::{CentroidOrder, SubmissionOrder};
@@ -158,25 +158,25 @@ fn bound(asked: &Asked, source: Source<'_>, view: &params::View, raster: RasterP
     // lists of a scene are sorted on the device, those that are given before they are taken there
     let of_lists = |sorted| match sorted {
         Sorting::Depth if fragments.is_some() => SubmissionOrder::Sorted,
-        _ => SubmissionOrder::AsIs,
+        Sorting::Rank => variant.order,
+        Sorting::Depth | Sorting::Submission => SubmissionOrder::AsIs,
     };
-    let order = match (&mut form.path, raster) {
+    let order = match (&form.path, raster) {
         // peeling ends ties by the order of ids, in which primitives are then drawn
         (Path::Peeled(_), _) => of_lists(Sorting::Depth),
         (Path::Listed(listing), _) => of_lists(listing.sorted),
-        (Path::Streamed(stream), _) if !stream.is_ordered => of_lists(stream.sorted),
-        (Path::Streamed(stream), RasterPath::Hardware) => {
-            let (sorted, backwards) = submission(&variant.params)?;
-            (stream.sorted, stream.backwards) = (sorted, backwards == Number::Whole(1));
-            of_lists(sorted)
+        // tiles hand fragments over as they are drawn
+        (Path::Streamed(stream), RasterPath::Compute) if stream.sorted == Sorting::Submission => {
+            if stream.backwards { SubmissionOrder::Reversed } else { SubmissionOrder::AsIs }
         }
-        (Path::Blended(_) | Path::Streamed(_), _) => variant.order,
+        (Path::Streamed(stream), _) => of_lists(stream.sorted),
+        (Path::Blended(_), _) => variant.order,
     };
     if fragments.is_none() && !order.is_of_primitives() {
         let given = variant.params.text("submission_order");
-        let who = if raster == RasterPath::Compute { "the path \"compute\"" } else { "blend units" };
-        let problem =
-            format!("submission_order={given:?} sorts fragments, which {who} of the backend \"gpu\" cannot");
+        let problem = format!(
+            "submission_order={given:?} sorts fragments, which blend units of the backend \"gpu\" cannot"
+        );
         return Err(variant
             .params
             .error(problem, "there it is one of \"as_is\", \"reversed\", \"shuffled\", \"centroid\""));

@@ -4,7 +4,7 @@ use crate::continuum::nodes::{Nodes, bytes_of_sums, sums};
 use crate::error::Result;
 use crate::format::{Formats, Target};
 use crate::fragments::List;
-use crate::gpu::form::{Form, Listing, Path, Sorting, only, only_default_formats};
+use crate::gpu::form::{Form, Path, Streaming, only, only_default_formats};
 use crate::order::sort_key;
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{
@@ -80,12 +80,7 @@ fn gpu(params: &Params, _view: &View) -> Result<Form> {
         weight: None,
         shader: include_str!("../../shaders/a_buffer.wgsl"),
         numbers: Vec::new(),
-        path: Path::Listed(Listing {
-            resolve: "composite",
-            sorted: Sorting::Depth,
-            layers: None,
-            sizes: vec![],
-        }),
+        path: Path::Streamed(Streaming::nearest_first()),
         shows_zero_fragments: false,
         colored_transmittance: false,
     })

@@ -1,8 +1,8 @@
 //! Forms for the raster in compute, which hands a pixel's fragments one by one to what it keeps in registers.
 
 use super::{
-    Blend, BlendTarget, Blending, DOUBLE, FRAGMENT, FRAME, Form, LAYERS, LISTS, Path, RESOLVE,
-    SHARES_OF_LAYERS, TILE_BINS, TILES, WEIGHT_BOUNDS,
+    Blend, BlendTarget, Blending, DOUBLE, FRAGMENT, FRAME, Form, LISTS, ONE_WALK, Path, RESOLVE,
+    SHARES_OF_LAYERS, Sorting, TILE_BINS, TILE_STREAM, TILE_WINDOW, TILES, WALKS, WEIGHT_BOUNDS, constants,
 };
 use crate::error::{Error, Result};
 use crate::format::Format;
@@ -42,17 +42,20 @@ impl Form {
             let problem = format!("{what} has no form for \"compute\"; path=\"hardware\" has one");
             Err(Error::argument("path", problem))
         };
-        let (layers, state);
+        let (sized, state);
         let mut parts = vec![FRAME, DOUBLE, FRAGMENT, WEIGHT_BOUNDS];
         parts.extend(self.weight.iter().map(|weight| weight.text.as_str()));
         parts.extend([SHARES_OF_LAYERS, RESOLVE]);
         match &self.path {
-            Path::Listed(_) => return refused("what keeps lists of fragments"),
+            Path::Listed(_) => return refused("what looks at all fragments of a pixel at once"),
             Path::Peeled(_) => return refused("peeling"),
             Path::Streamed(stream) => {
-                layers = format!("const LAYERS = {}u;", stream.layers);
+                sized = constants(stream.layers, &stream.sizes);
                 // a shader may have an entry point for lists, too
-                parts.extend([LISTS, layers.as_str(), LAYERS]);
+                parts.extend([LISTS, &sized]);
+                parts.extend(stream.blocks());
+                // tiles have no order of depth, which takes walks of its own
+                parts.push(if stream.sorted == Sorting::Depth { TILE_WINDOW } else { TILE_STREAM });
             }
             Path::Blended(blending) => {
                 // the fragment shader's texels as a function of a fragment
@@ -65,7 +68,7 @@ impl Form {
                     return refused(&format!("{}={name:?}, which registers are not in,", target.param));
                 }
                 state = registers(blending);
-                parts.push(&state);
+                parts.extend([WALKS, ONE_WALK, &state, TILE_STREAM]);
             }
         }
         parts.extend([self.shader, TILE_BINS, TILES]);

@@ -53,11 +53,8 @@ pub fn form(params: &Params, view: &View) -> Result<Form> {
     let (masking, mask_words) = masks(&setup, params)?;
     let (shader, resolve) = entry(&setup);
     // in which order fragments come is all the same to many, so that they may come sorted
-    let order = if setup.properties().order_independent {
-        (Sorting::Depth, Number::Whole(0))
-    } else {
-        submission(params)?
-    };
+    let order =
+        if setup.properties().order_independent { (Sorting::Depth, false) } else { submission(params) };
     let keeps_keys = setup.memory == "layers" || setup.insertion == "nearest";
     let layers = if keeps_keys { layers(params)? } else { 1 };
     if setup.memory == "layers" {
@@ -75,7 +72,7 @@ struct Composition {
     mask_words: (&'static str, u32),
     weight: Shading,
     choices: [Number; 6],
-    order: (Sorting, Number),
+    order: (Sorting, bool),
     layers: u32,
     sizes: [Number; 7],
 }
@@ -83,8 +80,12 @@ struct Composition {
 impl Composition {
     fn form(self, shader: &'static str, resolve: &'static str) -> Form {
         let (sorted, backwards) = self.order;
-        let numbers =
-            self.masking.into_iter().chain(self.weight.numbers).chain(self.choices).chain([backwards]);
+        let numbers = self
+            .masking
+            .into_iter()
+            .chain(self.weight.numbers)
+            .chain(self.choices)
+            .chain([Number::Whole(backwards.into())]);
         Form {
             weight: Some(self.weight.module),
             shader,
@@ -124,7 +125,7 @@ pub fn slab_as_submitted(params: &Params, tail: bool, second_pass: Option<Compos
             Number::Whole(second_pass.is_some().into()),
             second_pass.unwrap_or(Composite::None).number(),
         ],
-        order: submission(params)?,
+        order: submission(params),
         layers,
         sizes: [Number::Whole(0); 7],
     };

@@ -1,0 +1,56 @@
+// A tile's fragments as a stream in the order of depth, without lists: each walk over the tile finds the next few, as peeling
+// does, and then hands them over.
+
+struct Seen {
+    key: vec2u,
+    color: vec4f,
+}
+
+const WINDOW = 16u;
+
+// the next ones so far, and one that is pushed out
+var<private> window: array<Seen, WINDOW + 1u>;
+var<private> window_count: u32;
+// the last one that was handed over, if any was
+var<private> frontier: vec2u;
+var<private> is_behind_frontier: bool;
+var<private> pixel_at_hand: vec2u;
+
+fn comes_first(a: vec2u, b: vec2u) -> bool {
+    return select(comes_before_by_depth(a, b), comes_before_by_depth(b, a), backwards);
+}
+
+fn meet(fragment: Fragment) {
+    let key = key_of(fragment);
+    if is_behind_frontier && !comes_first(frontier, key) {
+        return;
+    }
+    pixel_at_hand = fragment.pixel;
+    var place = window_count;
+    while place > 0u && comes_first(key, window[place - 1u].key) {
+        window[place] = window[place - 1u];
+        place--;
+    }
+    window[place] = Seen(key, vec4f(fragment.color, fragment.alpha));
+    window_count = min(window_count + 1u, WINDOW);
+}
+
+// At the end of a walk over the tile: whether the pixel wants another.
+fn wants_more() -> bool {
+    for (var i = 0u; i < window_count && !is_done; i++) {
+        let seen = window[i];
+        take(Fragment(pixel_at_hand, bitcast<f32>(seen.key.x), seen.color.rgb, seen.color.a, seen.key.y));
+    }
+    if window_count == WINDOW && !is_done {
+        frontier = window[WINDOW - 1u].key;
+        is_behind_frontier = true;
+        window_count = 0u;
+        return true;
+    }
+    is_behind_frontier = false;
+    window_count = 0u;
+    is_done = false;
+    let wants = again();
+    walk++;
+    return wants;
+}
