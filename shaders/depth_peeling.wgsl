@@ -24,19 +24,13 @@ struct Layer {
     @location(1) color: vec4f,
 }
 
-const LEAST_NORMAL = 0x00800000;
 // a pixel of which nothing is left; what its target is cleared to
 const NOTHING = 0xffffffffu;
-
-fn window_bits(depth: f32) -> u32 {
-    let bits = bitcast<i32>(depth + 0.0) - bitcast<i32>(params.window_exponent);
-    return u32(select(0, bits, bits >= LEAST_NORMAL));
-}
 
 @fragment
 fn peel(placed: Placed) -> Layer {
     let fragment = fragment_of(placed);
-    let key = vec2u(window_bits(fragment.depth), fragment.primitive + 1u);
+    let key = vec2u(window_bits(fragment.depth, params.window_exponent), fragment.primitive + 1u);
     if !comes_before_by_depth(textureLoad(frontier, fragment.pixel, 0).xy, key) {
         discard;
     }

@@ -7,6 +7,8 @@ struct Params {
     corrected: u32,
     // samples keep depths: a fragment is seen as far as samples in front of it are open; or else they keep colours
     keeps_depths: u32,
+    // of the form by sample masks
+    window_exponent: u32,
 }
 
 @group(0) @binding(3) var<uniform> params: Params;

@@ -47,7 +47,7 @@ fn edge_function(p: vec2i, q: vec2i, center: vec2i) -> vec3i {
 }
 
 // Steps of a pixel are those of 256 sub-pixels, so that a 256th of the function, rounded down, has the same sign.
-fn prepare(index: u32, first_pixel: vec2u) -> Prepared {
+fn edges_of(index: u32, first_pixel: vec2u) -> Prepared {
     let primitive = &primitives[index];
     if (*primitive).outline_count > 0u {
         return Prepared(vec3i(0), vec3i(0), vec3i(0), index);
@@ -115,7 +115,7 @@ fn walk_tile(first_pixel: vec2u, local: vec2u, thread: u32, entries: vec2u, want
         var edges: Prepared;
         var touches = false;
         if base + thread < entries.y {
-            edges = prepare(tile_entries[entries.x + base + thread], first_pixel);
+            edges = edges_of(tile_entries[entries.x + base + thread], first_pixel);
             touches = touches_tile(edges);
         }
         if touches {

@@ -5,8 +5,9 @@ use super::oracle::Composite;
 use super::range::DepthRange;
 use crate::error::Result;
 use crate::format::{Formats, Target};
+use crate::gpu::form::blocks::{TWO_PASS_STREAM, TWO_PASS_TARGETS};
 use crate::gpu::form::{
-    Blend, BlendTarget, Blending, Draw, Form, Number, Path, SHARES, SUMS, only, target_format,
+    Blend, BlendTarget, Blending, Draw, Form, Number, Path, Registers, SHARES, SUMS, only, target_format,
 };
 use crate::params::{Params, View};
 
@@ -107,11 +108,29 @@ pub fn two_pass_form(params: &Params, view: &View, own: &Own<'_>) -> Result<Form
             resolve: "resolve",
             over_background: false,
             blocks: own.blocks,
+            targets_block: TWO_PASS_TARGETS,
+            in_registers: Some(registers(own, finds_bounds, layers)),
             words: own.words,
         }),
         shows_zero_fragments: false,
         colored_transmittance: false,
     })
+}
+
+/// Map and sums of a pixel in registers.
+fn registers(own: &Own<'_>, finds_bounds: bool, layers: u32) -> Registers {
+    let has_total = u32::from(own.total.is_some());
+    let words = own.words.max(1);
+    Registers {
+        block: TWO_PASS_STREAM,
+        sizes: vec![
+            ("FINDS_BOUNDS", finds_bounds.into()),
+            ("MAP_LAYERS", layers),
+            ("HAS_TOTAL", has_total),
+            ("MAP_WORDS", words),
+        ],
+        words: layers.saturating_mul(4).saturating_add(has_total + words),
+    }
 }
 
 /// How sums meet the background, as shaders number it.

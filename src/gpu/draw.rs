@@ -125,6 +125,7 @@ impl Gpu {
                 ];
                 self.listed(picture, form, ("resolve_stream", stream.sorted), &constants, stop)
             }
+            Path::Sampled(sampling) => self.sampled(picture, form, sampling, stop),
             Path::Peeled(peeling) => self.peeled(picture, form, peeling, stop),
         }?;
         if form.counts_invalid_weights() {

@@ -1,14 +1,14 @@
 //! What a technique is on a GPU, as data: its shader, its render targets and how the blend unit works on them, or that
 //! it wants every fragment. Forms know no device, so the registry can say what has one in any build.
 
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::format::{Format, Formats, Target};
 use crate::params::{Params, View};
 
 mod targets;
 pub mod tiled;
 
-pub use targets::{Blend, BlendTarget, Blending, Draw, SHARES, SUMS, target_format};
+pub use targets::{Blend, BlendTarget, Blending, Draw, Registers, SHARES, SUMS, target_format};
 
 /// A technique's entry in the registry: makes its form under params, or refuses params that have none.
 pub type MakeForm = fn(&Params, &View) -> Result<Form>;
@@ -115,6 +115,8 @@ pub enum Path {
     Streamed(Streaming),
     /// Layer by layer, in as many passes over the geometry as there are.
     Peeled(Peeling),
+    /// Into samples of a multisampled depth buffer, by masks.
+    Sampled(Sampling),
 }
 
 /// What a technique that takes fragments one by one wants of them, besides that there be any. Lists hand them over where
@@ -131,11 +133,33 @@ pub struct Streaming {
     pub backwards: bool,
     /// Whether a pixel may want all of its fragments once more, which the shader's `again` says.
     pub walks_again: bool,
+    /// The same by sample masks, where there is such a form.
+    pub by_samples: Option<Sampling>,
+}
+
+/// Two passes over the geometry for as many of a pixel's samples as a device has at a time: fragments cover samples, which keep
+/// the nearest; then all fragments add what of them is shown.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Sampling {
+    /// Its shader, which reads the same `Params`, ...
+    pub shader: &'static str,
+    /// ... with constants of these names.
+    pub sizes: Vec<(&'static str, u32)>,
+    /// The fragment shader that gives depth, mask and primitive.
+    pub cover: &'static str,
+    /// The one that looks at the samples.
+    pub look: &'static str,
+    /// The compute shader's entry point.
+    pub resolve: &'static str,
+    /// What the second one adds to.
+    pub sums: Vec<BlendTarget>,
+    /// Samples of a pixel.
+    pub samples: u32,
 }
 
 impl Streaming {
     fn sorted(sorted: Sorting, backwards: bool) -> Self {
-        Self { layers: None, sizes: Vec::new(), sorted, backwards, walks_again: false }
+        Self { layers: None, sizes: Vec::new(), sorted, backwards, walks_again: false, by_samples: None }
     }
 
     /// One that takes fragments in whatever order.
@@ -162,6 +186,11 @@ impl Streaming {
     /// The same with sizes of other things.
     pub fn of_sizes(self, sizes: Vec<(&'static str, u32)>) -> Self {
         Self { sizes, ..self }
+    }
+
+    /// The same with a form by sample masks.
+    pub fn or_by_samples(self, sampling: Sampling) -> Self {
+        Self { by_samples: Some(sampling), ..self }
     }
 
     /// The same where a pixel may want all of its fragments once more.
@@ -297,6 +326,10 @@ pub mod blocks {
     pub const OUTPUTS: &str = include_str!("../../shaders/blocks/outputs.wgsl");
     /// A map of transmittance, and all fragments seen through it.
     pub const TWO_PASS: &str = include_str!("../../shaders/blocks/two_pass.wgsl");
+    /// ... in render targets, ...
+    pub const TWO_PASS_TARGETS: &str = include_str!("../../shaders/blocks/two_pass_targets.wgsl");
+    /// ... or in registers.
+    pub const TWO_PASS_STREAM: &str = include_str!("../../shaders/blocks/two_pass_stream.wgsl");
     /// A map of coefficients.
     pub const COEFFICIENTS: &str = include_str!("../../shaders/blocks/coefficients.wgsl");
     /// A map of moments.
@@ -375,6 +408,23 @@ impl Form {
         self.weight.as_ref().is_some_and(|weight| weight.counts_invalid)
     }
 
+    /// The same by sample masks.
+    ///
+    /// # Errors
+    /// `Error::Argument` for what has no such form.
+    pub fn by_samples(self) -> Result<Self> {
+        match self.path {
+            Path::Streamed(Streaming { by_samples: Some(sampling), .. }) => {
+                Ok(Self { shader: sampling.shader, path: Path::Sampled(sampling), ..self })
+            }
+            _ => {
+                let problem =
+                    "what has no masks of samples has no form for \"samples\"; path=\"hardware\" has one";
+                Err(Error::argument("path", problem))
+            }
+        }
+    }
+
     /// The shader with the blocks that it may use.
     pub fn module(&self) -> String {
         let mut parts = vec![FRAME, DOUBLE, FRAGMENT, WEIGHT_BOUNDS];
@@ -382,7 +432,10 @@ impl Form {
         parts.extend([SHARES_OF_LAYERS, RESOLVE]);
         let sized;
         match &self.path {
-            Path::Blended(blending) => parts.extend(blending.blocks),
+            Path::Blended(blending) => {
+                parts.extend(blending.blocks);
+                parts.push(blending.targets_block);
+            }
             Path::Listed(Listing { layers, sizes, .. }) => {
                 sized = constants(*layers, sizes);
                 parts.extend([LISTS, &sized]);
@@ -393,6 +446,11 @@ impl Form {
                 parts.extend([LISTS, &sized]);
                 parts.extend(stream.blocks());
                 parts.push(STREAM);
+            }
+            Path::Sampled(sampling) => {
+                sized = constants(None, &sampling.sizes);
+                parts.push(&sized);
+                parts.extend(blocks_of_fragments(None, &sampling.sizes));
             }
             // params may ask for lists instead, which are in the same file
             Path::Peeled(_) => parts.extend([BACKGROUND, LISTS]),

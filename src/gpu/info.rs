@@ -76,6 +76,9 @@ fn why_not(connection: &Connection, technique: &technique::Info) -> Option<Strin
     let fits = form.and_then(|form| match &form.path {
         Path::Blended(blending) => connection.target_formats(blending).map(drop),
         Path::Listed(_) | Path::Streamed(_) => Ok(()),
+        Path::Sampled(sampling) => {
+            sampling.sums.iter().try_for_each(|sum| connection.target_format(sum).map(drop))
+        }
         Path::Peeled(peeling) => connection.peeling_formats(peeling).map(drop),
     });
     fits.err().map(|error| error.to_string())

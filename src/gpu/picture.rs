@@ -2,7 +2,7 @@
 
 use super::device::Connection;
 use super::geometry::{Packed, Traits, Viewport};
-use super::layouts::{Draws, Layouts, flag};
+use super::layouts::{Draws, Known, Layouts, flag};
 use super::tiles::Planned;
 use crate::error::{Error, Result};
 use crate::raster::{Drawn, Rect};
@@ -296,8 +296,13 @@ impl Picture {
 
     /// What a pipeline that draws its primitives has to know.
     pub fn draws(&self, zero_fragments: bool) -> Draws {
+        Draws::Primitives(self.known(zero_fragments))
+    }
+
+    /// What is known of its primitives.
+    pub fn known(&self, zero_fragments: bool) -> Known {
         let Self { perspective, has_opaque: opaque, traits, .. } = *self;
-        Draws::Primitives { perspective, zero_fragments, opaque, traits }
+        Known { perspective, zero_fragments, opaque, traits }
     }
 
     /// The constants of a pipeline that makes its image.

@@ -280,7 +280,9 @@ impl Gpu {
         let layout = self.layouts.tiles.clone();
         let drawing = Drawing { module: &module, constants, layout, textures: &[], image: None };
         match &form.path {
-            Path::Blended(blending) => self.tiled_targets(picture, form, blending, plan, drawing, stop),
+            Path::Blended(blending) if blending.in_registers.is_none() => {
+                self.tiled_targets(picture, form, blending, plan, drawing, stop)
+            }
             _ => self.tiled_image(picture, form, plan, drawing, stop),
         }
     }

@@ -152,8 +152,10 @@ fn bound(asked: &Asked, source: Source<'_>, view: &params::View, raster: RasterP
         let farthest = fragments.lists.depth.iter().fold(view.far, |far, &depth| far.max(depth.into()));
         form = make(&variant.params, &params::View { far: farthest, ..*view })?;
     }
-    if raster == RasterPath::Compute {
-        form.tiled_module()?;
+    match raster {
+        RasterPath::Hardware => {}
+        RasterPath::Compute => drop(form.tiled_module()?),
+        RasterPath::Samples => form = form.by_samples()?,
     }
     // lists of a scene are sorted on the device, those that are given before they are taken there
     let of_lists = |sorted| match sorted {
@@ -162,8 +164,8 @@ fn bound(asked: &Asked, source: Source<'_>, view: &params::View, raster: RasterP
         Sorting::Depth | Sorting::Submission => SubmissionOrder::AsIs,
     };
     let order = match (&form.path, raster) {
-        // peeling ends ties by the order of ids, in which primitives are then drawn
-        (Path::Peeled(_), _) => of_lists(Sorting::Depth),
+        // depth buffers end ties by the order of ids, in which primitives are then drawn
+        (Path::Peeled(_) | Path::Sampled(_), _) => of_lists(Sorting::Depth),
         (Path::Listed(listing), _) => of_lists(listing.sorted),
         // tiles hand fragments over as they are drawn
         (Path::Streamed(stream), RasterPath::Compute) if stream.sorted == Sorting::Submission => {

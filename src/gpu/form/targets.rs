@@ -18,7 +18,22 @@ pub struct Blending {
     pub over_background: bool,
     /// Shared parts of the shader beside those that all have.
     pub blocks: &'static [&'static str],
+    /// One that render targets alone want.
+    pub targets_block: &'static str,
+    /// What stands for targets that are drawn into one after the other, where a pixel's are in registers.
+    pub in_registers: Option<Registers>,
     /// Words per pixel of a buffer that all shaders read and write, 0 at first; its binding follows those of the targets.
+    pub words: u32,
+}
+
+/// Targets in registers: the technique as a stream.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Registers {
+    /// The shared part of the shader in place of that of render targets: `begin`, `take`, `again` and `finish`.
+    pub block: &'static str,
+    /// Its constants, ...
+    pub sizes: Vec<(&'static str, u32)>,
+    /// ... and words that a pixel takes.
     pub words: u32,
 }
 
@@ -38,7 +53,16 @@ impl Blending {
     /// One pass into all targets.
     pub fn once(draw: &'static str, resolve: &'static str, targets: Vec<BlendTarget>) -> Self {
         let draws = vec![Draw { shader: draw, targets: 0..targets.len(), in_parts: false }];
-        Self { targets, draws, resolve, over_background: false, blocks: &[], words: 0 }
+        Self {
+            targets,
+            draws,
+            resolve,
+            over_background: false,
+            blocks: &[],
+            targets_block: "",
+            in_registers: None,
+            words: 0,
+        }
     }
 }
 

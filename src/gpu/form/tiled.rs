@@ -1,12 +1,15 @@
 //! Forms for the raster in compute, which hands a pixel's fragments one by one to what it keeps in registers.
 
 use super::{
-    Blend, BlendTarget, Blending, DOUBLE, FRAGMENT, FRAME, Form, LISTS, ONE_WALK, Path, RESOLVE,
+    Blend, BlendTarget, Blending, DOUBLE, FRAGMENT, FRAME, Form, LISTS, ONE_WALK, Path, RESOLVE, Registers,
     SHARES_OF_LAYERS, Sorting, TILE_BINS, TILE_STREAM, TILE_WINDOW, TILES, WALKS, WEIGHT_BOUNDS, constants,
 };
 use crate::error::{Error, Result};
 use crate::format::Format;
 use std::fmt::Write;
+
+/// Words of a pixel's map that are in registers, at most: they take two kilobytes.
+const MOST_WORDS: u32 = 512;
 
 /// Which raster draws the primitives.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -16,6 +19,8 @@ pub enum RasterPath {
     Hardware,
     /// Tiles in compute, with what a pixel keeps in registers.
     Compute,
+    /// The device's own, into samples of a pixel by masks.
+    Samples,
 }
 
 impl RasterPath {
@@ -27,7 +32,11 @@ impl RasterPath {
         match name {
             "hardware" => Ok(Self::Hardware),
             "compute" => Ok(Self::Compute),
-            other => Err(Error::argument("path", format!("{other:?}; known: \"hardware\", \"compute\""))),
+            "samples" => Ok(Self::Samples),
+            other => {
+                let problem = format!("{other:?}; known: \"hardware\", \"compute\", \"samples\"");
+                Err(Error::argument("path", problem))
+            }
         }
     }
 }
@@ -49,6 +58,7 @@ impl Form {
         match &self.path {
             Path::Listed(_) => return refused("what looks at all fragments of a pixel at once"),
             Path::Peeled(_) => return refused("peeling"),
+            Path::Sampled(_) => return refused("a buffer of samples"),
             Path::Streamed(stream) => {
                 sized = constants(stream.layers, &stream.sizes);
                 // a shader may have an entry point for lists, too
@@ -58,17 +68,30 @@ impl Form {
                 parts.push(if stream.sorted == Sorting::Depth { TILE_WINDOW } else { TILE_STREAM });
             }
             Path::Blended(blending) => {
-                // the fragment shader's texels as a function of a fragment
-                let texels = format!("fn {}_texels(", blending.draws[0].shader);
-                if blending.draws.len() > 1 || !self.shader.contains(&texels) {
-                    return refused("this technique");
-                }
                 if let Some(target) = blending.targets.iter().find(|target| target.format != Format::F32) {
                     let name = target.format.name();
                     return refused(&format!("{}={name:?}, which registers are not in,", target.param));
                 }
-                state = registers(blending);
-                parts.extend([WALKS, ONE_WALK, &state, TILE_STREAM]);
+                parts.push(WALKS);
+                if let Some(Registers { block, sizes, words }) = &blending.in_registers {
+                    if *words > MOST_WORDS {
+                        return refused(&format!(
+                            "what keeps {words} numbers of a pixel, more than {MOST_WORDS},"
+                        ));
+                    }
+                    sized = constants(None, sizes);
+                    parts.extend([sized.as_str(), block]);
+                    parts.extend(blending.blocks);
+                } else {
+                    // the fragment shader's texels as a function of a fragment
+                    let texels = format!("fn {}_texels(", blending.draws[0].shader);
+                    if blending.draws.len() > 1 || !self.shader.contains(&texels) {
+                        return refused("this technique");
+                    }
+                    state = registers(blending);
+                    parts.extend([ONE_WALK, &state]);
+                }
+                parts.push(TILE_STREAM);
             }
         }
         parts.extend([self.shader, TILE_BINS, TILES]);

@@ -127,6 +127,8 @@ fn layered(params: &Params, view: &View) -> Result<Form> {
             resolve: "resolve",
             over_background: false,
             blocks: &[FUNCTIONS, INTERVAL, OUTPUTS],
+            targets_block: "",
+            in_registers: None,
             words: 0,
         }),
         shows_zero_fragments: false,
