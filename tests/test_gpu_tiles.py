@@ -9,8 +9,11 @@ import pytest
 import oitlab
 from gpu_scenes import (
     CLIPPED,
+    CONFORMS,
+    DECIDING,
     DEVICE,
     F32,
+    PARAMS,
     PERSPECTIVE,
     ROUNDINGS,
     SCENES,
@@ -53,7 +56,17 @@ STREAMED = (
     "screen_door",
     "alpha_testing",
 )
-TILED = BLENDED + STREAMED
+TWO_PASS = (
+    "opacity_shadow_maps",
+    "deep_opacity_maps",
+    "occupancy_maps",
+    "fourier_opacity_maps",
+    "tfm",
+    "wavelet",
+    "mboit_power",
+    "mboit_trig",
+)
+TILED = (*BLENDED, *STREAMED, *TWO_PASS, "lwboit", "depth_peeling", "dual_depth_peeling")
 
 
 def on_paths(
@@ -63,9 +76,11 @@ def on_paths(
     return compute, oitlab.gpu.render(scene, technique, params)
 
 
-def agree(scene: oitlab.Scene, technique: str, params: dict[str, Any] | None = None) -> oitlab.Frame:
+def agree(
+    scene: oitlab.Scene, technique: str, params: dict[str, Any] | None = None, factor: float = 1.0
+) -> oitlab.Frame:
     got, expected = on_paths(scene, technique, params)
-    limit = tolerance(scene, expected)
+    limit = factor * tolerance(scene, expected)
     np.testing.assert_allclose(got.color, expected.color, rtol=0, atol=limit)
     np.testing.assert_allclose(got.transmittance, expected.transmittance, rtol=0, atol=limit)
     assert got.stats.fragments == expected.stats.fragments
@@ -75,11 +90,17 @@ def agree(scene: oitlab.Scene, technique: str, params: dict[str, Any] | None = N
 @pytest.mark.parametrize("technique", TILED)
 @pytest.mark.parametrize("name", SCENES)
 def test_images_are_those_of_the_other_path_and_of_the_cpu(name: str, technique: str) -> None:
-    scene = SCENES[name]
-    got = agree(scene, technique)
-    expected = oitlab.render(scene, technique)
+    scene, params = SCENES[name], PARAMS.get(technique, {})
+    # of bins that are blended by weights, those may be summed up another way than where they are layers
+    got = agree(scene, technique, params, factor=16 if technique == "lwboit" else 1)
+    expected = oitlab.render(scene, technique, params)
     varies = 4 * VARYING_COLOR if name in (*CLIPPED, "smooth", "masked") else 0.0
-    assert np.abs(got.color - expected.color).max() <= tolerance(scene, expected) + varies
+    limit = tolerance(scene, expected) + varies
+    most, worst = CONFORMS.get(technique, (limit, limit))
+    share = DECIDING.get(technique, 0.95 if technique in CONFORMS else 1.0)
+    off = np.abs(got.color - expected.color).max(axis=-1)
+    assert (off <= most).mean() >= share, (off.max(), most)
+    assert technique in DECIDING or off.max() <= worst, off.max()
     assert (got.technique, got.params, got.scene_hash) == (
         expected.technique,
         expected.params,
@@ -182,12 +203,12 @@ def test_calls_repeat_to_the_bit_and_say_how_long_they_took() -> None:
 @pytest.mark.parametrize(
     ("technique", "params", "message"),
     [
-        ("a_buffer", {}, 'what keeps lists of fragments has no form for "compute"'),
-        ("depth_peeling", {}, 'peeling has no form for "compute"; path="hardware" has one'),
-        ("multilayer_depth_peeling", {"layers": 33}, 'has no form for "compute"'),
+        ("density_clustering", {}, 'what looks at all fragments of a pixel at once has no form for "compute"'),
+        ("deep_shadow_maps", {}, 'what looks at all fragments of a pixel at once has no form for "compute"'),
+        ("depth_peeling", {"format": "f16"}, 'color_format="f16", which registers are not in, has no form'),
         ("wboit", {"format": "f16"}, 'accumulation_format="f16", which registers are not in, has no form'),
-        ("mlab", {"submission_order": "sorted"}, 'sorts fragments, which the path "compute"'),
-        ("fourier_opacity_maps", {}, 'this technique has no form for "compute"'),
+        ("opacity_shadow_maps", {"bins": 512}, "what keeps 513 numbers of a pixel, more than 512, has no form"),
+        ("gs_wsr", {}, 'this technique has no form for "compute"'),
     ],
 )
 def test_what_is_no_stream_of_fragments_is_refused(

@@ -1,19 +1,19 @@
 // A tile's fragments as a stream in the order of depth, without lists: each walk over the tile finds the next few, as peeling
 // does, and then hands them over.
 
-struct Seen {
+struct InWindow {
     key: vec2u,
     color: vec4f,
 }
 
-const WINDOW = 16u;
+const WINDOW_SIZE = 16u;
 
 // the next ones so far, and one that is pushed out
-var<private> window: array<Seen, WINDOW + 1u>;
+var<private> window: array<InWindow, WINDOW_SIZE + 1u>;
 var<private> window_count: u32;
 // the last one that was handed over, if any was
-var<private> frontier: vec2u;
-var<private> is_behind_frontier: bool;
+var<private> last_handed_over: vec2u;
+var<private> is_behind_last: bool;
 var<private> pixel_at_hand: vec2u;
 
 fn comes_first(a: vec2u, b: vec2u) -> bool {
@@ -22,7 +22,7 @@ fn comes_first(a: vec2u, b: vec2u) -> bool {
 
 fn meet(fragment: Fragment) {
     let key = key_of(fragment);
-    if is_behind_frontier && !comes_first(frontier, key) {
+    if is_behind_last && !comes_first(last_handed_over, key) {
         return;
     }
     pixel_at_hand = fragment.pixel;
@@ -31,8 +31,8 @@ fn meet(fragment: Fragment) {
         window[place] = window[place - 1u];
         place--;
     }
-    window[place] = Seen(key, vec4f(fragment.color, fragment.alpha));
-    window_count = min(window_count + 1u, WINDOW);
+    window[place] = InWindow(key, vec4f(fragment.color, fragment.alpha));
+    window_count = min(window_count + 1u, WINDOW_SIZE);
 }
 
 // At the end of a walk over the tile: whether the pixel wants another.
@@ -41,13 +41,13 @@ fn wants_more() -> bool {
         let seen = window[i];
         take(Fragment(pixel_at_hand, bitcast<f32>(seen.key.x), seen.color.rgb, seen.color.a, seen.key.y));
     }
-    if window_count == WINDOW && !is_done {
-        frontier = window[WINDOW - 1u].key;
-        is_behind_frontier = true;
+    if window_count == WINDOW_SIZE && !is_done {
+        last_handed_over = window[WINDOW_SIZE - 1u].key;
+        is_behind_last = true;
         window_count = 0u;
         return true;
     }
-    is_behind_frontier = false;
+    is_behind_last = false;
     window_count = 0u;
     is_done = false;
     let wants = again();

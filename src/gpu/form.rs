@@ -46,6 +46,13 @@ impl WeightModule {
         Self { text, counts_invalid: false }
     }
 
+    /// The same beside other functions, of which one may give what is none.
+    pub fn with(mut self, text: &str, counts_invalid: bool) -> Self {
+        self.text.push_str(text);
+        self.counts_invalid |= counts_invalid;
+        self
+    }
+
     /// One of somebody's own, whose text has what `own_weight.wgsl` calls.
     pub fn own(text: &str) -> Self {
         Self { text: [text, OWN_WEIGHT].join("\n"), counts_invalid: true }
@@ -133,6 +140,8 @@ pub struct Streaming {
     pub backwards: bool,
     /// Whether a pixel may want all of its fragments once more, which the shader's `again` says.
     pub walks_again: bool,
+    /// Words that a pixel takes in registers, where it may be many.
+    pub words: u32,
     /// The same by sample masks, where there is such a form.
     pub by_samples: Option<Sampling>,
 }
@@ -159,7 +168,15 @@ pub struct Sampling {
 
 impl Streaming {
     fn sorted(sorted: Sorting, backwards: bool) -> Self {
-        Self { layers: None, sizes: Vec::new(), sorted, backwards, walks_again: false, by_samples: None }
+        Self {
+            layers: None,
+            sizes: Vec::new(),
+            sorted,
+            backwards,
+            walks_again: false,
+            words: 0,
+            by_samples: None,
+        }
     }
 
     /// One that takes fragments in whatever order.
@@ -186,6 +203,11 @@ impl Streaming {
     /// The same with sizes of other things.
     pub fn of_sizes(self, sizes: Vec<(&'static str, u32)>) -> Self {
         Self { sizes, ..self }
+    }
+
+    /// The same, of which a pixel keeps so many words.
+    pub fn of_words(self, words: u32) -> Self {
+        Self { words, ..self }
     }
 
     /// The same with a form by sample masks.
@@ -306,6 +328,7 @@ const DOUBLE: &str = include_str!("../../shaders/blocks/double.wgsl");
 const FRAGMENT: &str = include_str!("../../shaders/blocks/fragment.wgsl");
 const WEIGHT_BOUNDS: &str = include_str!("../../shaders/blocks/weight_bounds.wgsl");
 const WEIGHT: &str = include_str!("../../shaders/blocks/weight.wgsl");
+const INVALID: &str = include_str!("../../shaders/blocks/invalid.wgsl");
 const OWN_WEIGHT: &str = include_str!("../../shaders/blocks/own_weight.wgsl");
 const RESOLVE: &str = include_str!("../../shaders/blocks/resolve.wgsl");
 const LISTS: &str = include_str!("../../shaders/blocks/lists.wgsl");
@@ -408,6 +431,10 @@ impl Form {
         self.weight.as_ref().is_some_and(|weight| weight.counts_invalid)
     }
 
+    fn weight_parts(&self) -> Vec<&str> {
+        self.weight.iter().flat_map(|weight| [INVALID, weight.text.as_str()]).collect()
+    }
+
     /// The same by sample masks.
     ///
     /// # Errors
@@ -428,7 +455,7 @@ impl Form {
     /// The shader with the blocks that it may use.
     pub fn module(&self) -> String {
         let mut parts = vec![FRAME, DOUBLE, FRAGMENT, WEIGHT_BOUNDS];
-        parts.extend(self.weight.iter().map(|weight| weight.text.as_str()));
+        parts.extend(self.weight_parts());
         parts.extend([SHARES_OF_LAYERS, RESOLVE]);
         let sized;
         match &self.path {
@@ -452,8 +479,8 @@ impl Form {
                 parts.push(&sized);
                 parts.extend(blocks_of_fragments(None, &sampling.sizes));
             }
-            // params may ask for lists instead, which are in the same file
-            Path::Peeled(_) => parts.extend([BACKGROUND, LISTS]),
+            // params may ask for a stream instead, which is in the same file
+            Path::Peeled(_) => parts.extend([BACKGROUND, LISTS, WALKS]),
         }
         parts.push(self.shader);
         parts.join("\n")

@@ -274,9 +274,7 @@ impl Gpu {
         }
         let plan = self.plan(picture, stop)?;
         let (_, mut constants) = picture.draws(form.shows_zero_fragments).vertex();
-        if let Path::Streamed(stream) = &form.path {
-            constants.extend(stream.backwards.then_some(("backwards", 1.0)));
-        }
+        constants.extend(form.is_backwards_in_tiles().then_some(("backwards", 1.0)));
         let layout = self.layouts.tiles.clone();
         let drawing = Drawing { module: &module, constants, layout, textures: &[], image: None };
         match &form.path {

@@ -152,6 +152,13 @@ fn bound(asked: &Asked, source: Source<'_>, view: &params::View, raster: RasterP
         let farthest = fragments.lists.depth.iter().fold(view.far, |far, &depth| far.max(depth.into()));
         form = make(&variant.params, &params::View { far: farthest, ..*view })?;
     }
+    if let (Path::Blended(blending), RasterPath::Compute) = (&mut form.path, raster) {
+        blending.by_depth = match variant.order {
+            SubmissionOrder::Sorted => Some(false),
+            SubmissionOrder::BackToFront => Some(true),
+            _ => None,
+        };
+    }
     match raster {
         RasterPath::Hardware => {}
         RasterPath::Compute => drop(form.tiled_module()?),
@@ -172,6 +179,9 @@ fn bound(asked: &Asked, source: Source<'_>, view: &params::View, raster: RasterP
             if stream.backwards { SubmissionOrder::Reversed } else { SubmissionOrder::AsIs }
         }
         (Path::Streamed(stream), _) => of_lists(stream.sorted),
+        (Path::Blended(blending), RasterPath::Compute) if blending.by_depth.is_some() => {
+            SubmissionOrder::AsIs
+        }
         (Path::Blended(_), _) => variant.order,
     };
     if fragments.is_none() && !order.is_of_primitives() {

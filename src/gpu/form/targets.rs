@@ -1,5 +1,6 @@
 //! Render targets, and what blend units do with them.
 
+use super::Streaming;
 use crate::error::Result;
 use crate::format::{Format, Formats};
 use crate::params::Params;
@@ -20,6 +21,8 @@ pub struct Blending {
     pub blocks: &'static [&'static str],
     /// One that render targets alone want.
     pub targets_block: &'static str,
+    /// In tiles, fragments come by depth, not as they are drawn: the furthest first, or the nearest.
+    pub by_depth: Option<bool>,
     /// What stands for targets that are drawn into one after the other, where a pixel's are in registers.
     pub in_registers: Option<Registers>,
     /// Words per pixel of a buffer that all shaders read and write, 0 at first; its binding follows those of the targets.
@@ -29,12 +32,10 @@ pub struct Blending {
 /// Targets in registers: the technique as a stream.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Registers {
-    /// The shared part of the shader in place of that of render targets: `begin`, `take`, `again` and `finish`.
+    /// The part of the shader in place of that of render targets: `begin`, `take`, `again` and `finish`.
     pub block: &'static str,
-    /// Its constants, ...
-    pub sizes: Vec<(&'static str, u32)>,
-    /// ... and words that a pixel takes.
-    pub words: u32,
+    /// What it wants of fragments.
+    pub stream: Streaming,
 }
 
 /// A pass over the geometry.
@@ -60,6 +61,7 @@ impl Blending {
             over_background: false,
             blocks: &[],
             targets_block: "",
+            by_depth: None,
             in_registers: None,
             words: 0,
         }
