@@ -1,19 +1,27 @@
-// The A-buffer (Carpenter 1984): every fragment, sorted, front to back.
+// The A-buffer (Carpenter 1984): every fragment, nearest first. With room for so many, BLENDS_TAIL, a constant that the form sets,
+// says that fragments come as they are submitted, and that what there is no room for is one average behind the others.
 
-var<private> color: vec3f;
-var<private> transmittance: f32;
+var<private> front: Node;
+var<private> tail: Sums;
 
 fn begin(pixel: vec2u) {
-    color = vec3f(0.0);
-    transmittance = 1.0;
+    node_count = 0u;
+    front = CLEAR;
+    tail = NO_SUMS;
 }
 
-// Nearest first.
 fn take(fragment: Fragment) {
-    color += transmittance * fragment.color;
-    transmittance *= 1.0 - fragment.alpha;
+    if BLENDS_TAIL == 0u {
+        front = over(front, Node(key_of(fragment), fragment.color, 1.0 - fragment.alpha));
+    } else if node_count < LAYERS {
+        insert_fragment(fragment);
+    } else {
+        tail = with_fragment(tail, 1.0, rgba(fragment));
+    }
 }
 
 fn finish(id: vec3u) {
-    store(id, color + transmittance * background_at(pixel_of(id)), transmittance);
+    let all = composite_nodes(front);
+    let behind = over_background(tail, background_at(pixel_of(id)));
+    store(id, all.color + all.transmittance * behind.rgb, all.transmittance * behind.a);
 }

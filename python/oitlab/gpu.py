@@ -101,7 +101,7 @@ def render(
     technique: str,
     params: Mapping[str, Any] | None = None,
     *,
-    path: Literal["hardware", "compute"] = "hardware",
+    path: Literal["hardware", "compute", "samples"] = "hardware",
     threads: int | None = None,
     skip: bool = True,
 ) -> Frame:
@@ -153,7 +153,7 @@ def render(
     if not isinstance(scene, Scene):
         raise ValueError(f"scene must be a Scene, got {type(scene).__name__}")
     if not isinstance(path, str):
-        raise ValueError(f"path: {path!r}; known: 'hardware', 'compute'")
+        raise ValueError(f"path: {path!r}; known: 'hardware', 'compute', 'samples'")
     return _render(scene, [(technique, params)], "gpu", threads, skip, "float32", False, path)[0]
 
 

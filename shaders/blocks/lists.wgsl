@@ -176,6 +176,31 @@ fn sort_lists(@builtin(global_invocation_id) id: vec3u) {
     }
 }
 
+// Of each list so many fragments that do something are kept, the first ones, or the last; the others become nothing.
+override list_capacity: u32 = 0xffffffff;
+override drops_backwards: bool = false;
+
+@compute @workgroup_size(8, 8)
+fn drop_fragments(@builtin(global_invocation_id) id: vec3u) {
+    if id.x >= frame.size.x || id.y >= frame.rows {
+        return;
+    }
+    let pixel = vec2u(id.x, frame.first_row + id.y);
+    let list = list_of(pixel);
+    var there = 0u;
+    for (var i = 0u; i < list.y; i++) {
+        let place = select(list.x + i, list.x + list.y - 1u - i, drops_backwards);
+        if any(colors[place] != vec4f(0.0)) {
+            there++;
+            colors[place] = select(vec4f(0.0), colors[place], there <= list_capacity);
+        }
+    }
+    atomicAdd(&counters[DROPPED], max(there, list_capacity) - list_capacity);
+    if is_cut_short() {
+        atomicOr(&counts[place_of(pixel)], UNSORTED);
+    }
+}
+
 // The places of a list's first fragment that does anything, and behind the last one; equal where there is none.
 fn ends_of(list: vec2u) -> vec2u {
     var first = list.x;

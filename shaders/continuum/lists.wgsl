@@ -127,7 +127,7 @@ fn count_stored(list: vec2u) -> u32 {
     return count;
 }
 
-fn stored_key_of(place: u32) -> vec2u {
+fn unmarked_key(place: u32) -> vec2u {
     return vec2u(keys[place].x & ~LOST, keys[place].y);
 }
 
@@ -189,7 +189,7 @@ fn resolve_lists(@builtin(global_invocation_id) id: vec3u) {
     // both are in the order of depth
     while stored < lost_first || lost < end {
         let seen = core.y;
-        if lost == end || (stored < lost_first && comes_before_by_depth(keys[stored], stored_key_of(lost))) {
+        if lost == end || (stored < lost_first && comes_before_by_depth(keys[stored], unmarked_key(lost))) {
             let bin = bin_of(keys[stored]) + 1u;
             let is_kept = params.merge != DISCARD_OCCUPIED || bin != occupied;
             occupied = bin;
@@ -197,7 +197,7 @@ fn resolve_lists(@builtin(global_invocation_id) id: vec3u) {
             add_fragment(stored, depth_in(keys[stored]), seen, is_kept && (shows || !is_samples));
             stored++;
         } else {
-            add_fragment(lost, depth_in(stored_key_of(lost)), seen, false);
+            add_fragment(lost, depth_in(unmarked_key(lost)), seen, false);
             lost++;
         }
     }

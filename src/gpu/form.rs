@@ -140,6 +140,8 @@ pub struct Streaming {
     pub backwards: bool,
     /// Whether a pixel may want all of its fragments once more, which the shader's `again` says.
     pub walks_again: bool,
+    /// How many fragments of a pixel there may be, if there is a limit.
+    pub capacity: Option<Capacity>,
     /// Words that a pixel takes in registers, where it may be many.
     pub words: u32,
     /// The same by sample masks, where there is such a form.
@@ -174,6 +176,7 @@ impl Streaming {
             sorted,
             backwards,
             walks_again: false,
+            capacity: None,
             words: 0,
             by_samples: None,
         }
@@ -203,6 +206,12 @@ impl Streaming {
     /// The same with sizes of other things.
     pub fn of_sizes(self, sizes: Vec<(&'static str, u32)>) -> Self {
         Self { sizes, ..self }
+    }
+
+    /// The same with so many fragments of a pixel, the first that are submitted.
+    pub fn of_fragments(self, fragments: u32, params: &Params) -> Self {
+        let (sorted, backwards) = submission(params);
+        Self { capacity: Some(Capacity { fragments, sorted, backwards }), ..self }
     }
 
     /// The same, of which a pixel keeps so many words.
@@ -278,6 +287,17 @@ pub enum Sorting {
     Submission,
     /// As whole primitives come in the order that is asked for.
     Rank,
+}
+
+/// So many fragments of a pixel are kept, the first ones in this order; others are dropped, and counted.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Capacity {
+    /// How many.
+    pub fragments: u32,
+    /// How lists are sorted for it ...
+    pub sorted: Sorting,
+    /// ... and whether those at their end are the first.
+    pub backwards: bool,
 }
 
 /// The order in which a technique is handed a pixel's fragments: how lists are sorted for it, and whether they are read from
@@ -426,9 +446,17 @@ fn blocks_of_fragments(layers: Option<u32>, sizes: &[(&'static str, u32)]) -> Ve
 }
 
 impl Form {
-    /// Whether its weight may give what is none.
-    pub fn counts_invalid_weights(&self) -> bool {
-        self.weight.as_ref().is_some_and(|weight| weight.counts_invalid)
+    /// Whether its weight may give what is none, or fragments may be dropped.
+    pub fn counts(&self) -> bool {
+        self.weight.as_ref().is_some_and(|weight| weight.counts_invalid) || self.capacity().is_some()
+    }
+
+    /// How many fragments of a pixel there may be, if there is a limit.
+    pub fn capacity(&self) -> Option<Capacity> {
+        match &self.path {
+            Path::Streamed(stream) => stream.capacity,
+            _ => None,
+        }
     }
 
     fn weight_parts(&self) -> Vec<&str> {

@@ -275,6 +275,7 @@ impl Gpu {
         let plan = self.plan(picture, stop)?;
         let (_, mut constants) = picture.draws(form.shows_zero_fragments).vertex();
         constants.extend(form.is_backwards_in_tiles().then_some(("backwards", 1.0)));
+        constants.extend(form.capacity().map(|capacity| ("capacity", capacity.fragments.into())));
         let layout = self.layouts.tiles.clone();
         let drawing = Drawing { module: &module, constants, layout, textures: &[], image: None };
         match &form.path {

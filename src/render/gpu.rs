@@ -184,10 +184,21 @@ fn bound(asked: &Asked, source: Source<'_>, view: &params::View, raster: RasterP
         }
         (Path::Blended(_), _) => variant.order,
     };
+    let order = match form.capacity() {
+        None => order,
+        Some(_) if fragments.is_some() => {
+            let problem =
+                "a capacity has no form on the backend \"gpu\" for fragments that are there already";
+            return Err(variant.params.error(problem, "there capacity is 0, or it is a scene that is drawn"));
+        }
+        Some(capacity) if raster == RasterPath::Hardware => of_lists(capacity.sorted),
+        // the first ones are those that are drawn first
+        Some(_) => variant.order,
+    };
     if fragments.is_none() && !order.is_of_primitives() {
         let given = variant.params.text("submission_order");
         let problem = format!(
-            "submission_order={given:?} sorts fragments, which blend units of the backend \"gpu\" cannot"
+            "submission_order={given:?} sorts fragments before they are drawn, which the backend \"gpu\" cannot here"
         );
         return Err(variant
             .params
@@ -216,6 +227,7 @@ struct Answer {
     fragments: u64,
     deepest: u64,
     invalid_weights: u64,
+    dropped: u64,
 }
 
 impl<'a> Job<'a> {
@@ -314,6 +326,7 @@ impl<'a> Job<'a> {
             fragments,
             deepest,
             invalid_weights: image.invalid_weights,
+            dropped: image.dropped,
         })
     }
 }
@@ -438,7 +451,7 @@ impl Answer {
                 depth_complexity_max: self.deepest,
                 geometry_passes: cost.geometry_passes,
                 bytes_per_pixel: cost.bytes_per_pixel,
-                dropped: 0,
+                dropped: self.dropped,
                 invalid_weights: self.invalid_weights,
                 skipped: vec![("duplicate_variants", u64::from(duplicate))],
                 backend: "gpu",

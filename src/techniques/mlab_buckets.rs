@@ -139,7 +139,7 @@ fn gpu(params: &Params, view: &View) -> Result<Form> {
         weight: None,
         shader: include_str!("../../shaders/mlab_buckets.wgsl"),
         numbers,
-        path: Path::Streamed(if mode == TRANSMITTANCE { stream } else { stream.in_walks() }),
+        path: Path::Streamed(stream.in_walks()),
         shows_zero_fragments: false,
         colored_transmittance: false,
     })

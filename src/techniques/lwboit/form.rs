@@ -102,10 +102,6 @@ macro_rules! with_parts {
 }
 
 fn listed(params: &Params, view: &View) -> Result<Form> {
-    if params.size("capacity") > 0 {
-        let problem = "a capacity has no form on the backend \"gpu\", which keeps every fragment";
-        return Err(params.error(problem, "there capacity is 0"));
-    }
     only_default_formats(params, INFO.targets)?;
     let Common { numbers, weight, finds_bounds } = Common::from_params(params, view, f64::from(f32::MAX))?;
     Ok(Form {
@@ -117,7 +113,11 @@ fn listed(params: &Params, view: &View) -> Result<Form> {
         ),
         weight: Some(weight),
         numbers,
-        path: Path::Streamed(as_stream(finds_bounds)),
+        path: Path::Streamed(match u32::try_from(params.size("capacity")) {
+            Ok(capacity) if capacity > 0 => as_stream(finds_bounds).of_fragments(capacity, params),
+            // there are never so many
+            _ => as_stream(finds_bounds),
+        }),
         shows_zero_fragments: false,
         colored_transmittance: false,
     })
