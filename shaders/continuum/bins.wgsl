@@ -56,7 +56,7 @@ fn resolve_bins(@builtin(global_invocation_id) id: vec3u) {
             end_bin();
             bin = own;
         }
-        add_fragment(place, depth_in(unmarked_key(place)), core.y, is_stored);
+        add_fragment(colors[place], depth_in(unmarked_key(place)), core.y, is_stored);
         if is_stored {
             put_into_bin(place);
             stored++;

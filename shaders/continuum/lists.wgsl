@@ -194,10 +194,10 @@ fn resolve_lists(@builtin(global_invocation_id) id: vec3u) {
             let is_kept = params.merge != DISCARD_OCCUPIED || bin != occupied;
             occupied = bin;
             let shows = is_kept && put_behind(stored);
-            add_fragment(stored, depth_in(keys[stored]), seen, is_kept && (shows || !is_samples));
+            add_fragment(colors[stored], depth_in(keys[stored]), seen, is_kept && (shows || !is_samples));
             stored++;
         } else {
-            add_fragment(lost, depth_in(unmarked_key(lost)), seen, false);
+            add_fragment(colors[lost], depth_in(unmarked_key(lost)), seen, false);
             lost++;
         }
     }

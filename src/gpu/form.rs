@@ -169,7 +169,8 @@ pub struct Sampling {
 }
 
 impl Streaming {
-    fn sorted(sorted: Sorting, backwards: bool) -> Self {
+    /// One that takes fragments as lists are sorted, or from their end.
+    pub fn in_order(sorted: Sorting, backwards: bool) -> Self {
         Self {
             layers: None,
             sizes: Vec::new(),
@@ -184,18 +185,18 @@ impl Streaming {
 
     /// One that takes fragments in whatever order.
     pub fn in_any_order() -> Self {
-        Self::sorted(Sorting::Submission, false)
+        Self::in_order(Sorting::Submission, false)
     }
 
     /// One that takes the nearest fragment first.
     pub fn nearest_first() -> Self {
-        Self::sorted(Sorting::Depth, false)
+        Self::in_order(Sorting::Depth, false)
     }
 
     /// One that takes fragments as the param `submission_order` has them.
     pub fn as_submitted(params: &Params) -> Self {
         let (sorted, backwards) = submission(params);
-        Self::sorted(sorted, backwards)
+        Self::in_order(sorted, backwards)
     }
 
     /// The same with so many layers.

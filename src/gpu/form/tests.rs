@@ -72,10 +72,10 @@ fn every_memory_of_the_continuum_has_its_entry_point() {
     ];
     for given in memories {
         let form = form(continuum, given).unwrap();
-        let Path::Listed(listing) = &form.path else { panic!("{form:?}") };
+        let resolve = if let Path::Listed(listing) = &form.path { listing.resolve } else { "resolve_stream" };
         let module = validated("continuum", &form.module());
         let (size, names) = interface(&module);
-        assert!(names.contains(&listing.resolve), "{names:?}");
+        assert!(names.contains(&resolve), "{names:?}");
         let bytes = u32::try_from(4 * form.numbers.len()).unwrap();
         assert_eq!(size.unwrap().next_multiple_of(16), bytes.next_multiple_of(16), "{given:?}");
     }
