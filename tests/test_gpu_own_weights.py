@@ -164,7 +164,8 @@ def test_bin_functions_are_those_of_the_cpu(storage: str, partition: str, functi
     params = base | BIN_FUNCTIONS[function]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        expected = oitlab.render(scene, "lwboit", params)
+        # the CPU need not ask for the shares of lone fragments
+        expected = oitlab.render(scene, "lwboit", params, skip=False)
         path = "compute" if storage == "tiles" else "hardware"
         got = oitlab.gpu.render(scene, "lwboit", params, path=path)
     np.testing.assert_allclose(got.color, expected.color, rtol=0, atol=8 * tolerance(scene, expected))
