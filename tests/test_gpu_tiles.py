@@ -66,7 +66,45 @@ TWO_PASS = (
     "mboit_power",
     "mboit_trig",
 )
-TILED = (*BLENDED, *STREAMED, *TWO_PASS, "lwboit", "depth_peeling", "dual_depth_peeling")
+OTHERS = ("lwboit", "depth_peeling", "dual_depth_peeling", "continuum", "gs_wsr")
+TILED = (*BLENDED, *STREAMED, *TWO_PASS, *OTHERS)
+# what looks at all fragments of a pixel at once
+LISTS_ALONE = {"density_clustering", "deep_shadow_maps"}
+
+
+def test_every_technique_runs_in_tiles_or_says_why_not() -> None:
+    assert {entry.id for entry in oitlab.techniques()} - set(TILED) == LISTS_ALONE
+
+
+@pytest.mark.parametrize(
+    ("technique", "params"),
+    [
+        ("gs_wsr", {"variant": "linear"}),
+        ("gs_wsr", {"variant": "exp", "sigma": 0.3}),
+        ("slab", {"replay": "as_is"}),
+        ("depth_peeling", {"passes": 3, "early_out": True}),
+        ("dual_depth_peeling", {"passes": 2}),
+        ("multilayer_depth_peeling", {"layers": 20, "passes": 3}),
+        ("lwboit", {"storage": "ll", "range": "pixel"}),
+        ("stochastic_transparency", {"mode": "depth", "correction": "alpha", "samples": 40}),
+        ("slab", {"variant": "alpha", "accumulate": "stored", "layers": 2}),
+        ("screen_door", {"samples": 1000}),
+        ("avsm", {"nodes_format": "f32", "thickness": 0.2, "composite": "normalize"}),
+        ("wavelet", {"range": "pixel"}),
+        ("continuum", {"merge": "smallest_error", "accumulate": "all"}),
+        ("continuum", {"opacity": "coverage", "insertion": "stochastic", "merge": "discard_furthest"}),
+    ],
+)
+def test_params_in_tiles_are_those_of_the_cpu(technique: str, params: dict[str, Any]) -> None:
+    for name in ("squares", "blades"):
+        scene = SCENES[name]
+        got = oitlab.gpu.render(scene, technique, params, path="compute")
+        expected = oitlab.render(scene, technique, params)
+        # exponentials of depths, and sums of bins
+        limit = (8 if technique in ("gs_wsr", "lwboit") else 1) * tolerance(scene, expected)
+        # nodes as good as each other may change roles where depths are a unit in the last place apart
+        share = 1.0 if name == "squares" else 0.999
+        assert (np.abs(got.color - expected.color).max(axis=-1) <= limit).mean() >= share
 
 
 def on_paths(
@@ -230,7 +268,12 @@ def test_calls_repeat_to_the_bit_and_say_how_long_they_took() -> None:
             {"bins": 512},
             "what keeps 513 numbers of a pixel, more than 512, has no form",
         ),
-        ("gs_wsr", {}, 'this technique has no form for "compute"'),
+        (
+            "continuum",
+            {"memory": "unbounded", "merge": "none"},
+            "all fragments of a pixel at once has no form",
+        ),
+        ("tfm", {"project": "transmittance"}, "all fragments of a pixel at once has no form"),
     ],
 )
 def test_what_is_no_stream_of_fragments_is_refused(
