@@ -130,7 +130,7 @@ fn what_is_a_stream_of_fragments_has_a_raster_in_compute() {
     let with_form = REGISTRY.iter().filter(|info| info.gpu.is_some());
     let bins = tiled::bins_module();
     let names = interface(&validated("bins", &bins)).1.join(" ");
-    assert_eq!(names, "place count_bins place_bins fill_bins fill_tiles");
+    assert_eq!(names, "place place_around count_bins place_bins fill_bins fill_tiles");
     let mut tiled = Vec::new();
     for info in with_form {
         let Ok(module) = form(info, &[]).unwrap().tiled_module() else { continue };
