@@ -76,7 +76,7 @@ def test_alphas_at_their_ends(alpha: float) -> None:
 def test_all_three_paths_show_the_same_samples() -> None:
     scene = SCENES["smoke"]
     images = [
-        oitlab.gpu.render(scene, TECHNIQUE, {"samples": 12}, path=path).color  # type: ignore[arg-type]
+        oitlab.gpu.render(scene, TECHNIQUE, {"samples": 12}, path=path).color
         for path in ("hardware", "compute", "samples")
     ]
     for image in images[1:]:
