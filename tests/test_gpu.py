@@ -100,7 +100,7 @@ def test_orders_of_primitives_are_those_of_the_cpu(order: str) -> None:
     assert np.abs(got.color - expected.color).max() <= tolerance(scene, expected)
 
 
-@pytest.mark.parametrize("order", ["as_is", "reversed", "sorted", "back_to_front"])
+@pytest.mark.parametrize("order", ["as_is", "reversed", "sorted", "back_to_front", "shuffled", "centroid"])
 @pytest.mark.parametrize("technique", ["mlab", "k_buffer"])
 def test_lists_of_layers_are_those_of_the_cpu(technique: str, order: str) -> None:
     scene = SCENES["squares"]  # where depths agree to the bit, so that nothing changes places
@@ -292,16 +292,13 @@ def test_a_device_that_is_not_there_is_an_error_that_helps() -> None:
 @pytest.mark.parametrize(
     ("technique", "params", "keywords", "message"),
     [
-        ("lwboit", {"storage": "ll", "partition": "absorbance"}, {}, 'partition="absorbance" has no form'),
-        ("lwboit", {"storage": "ll", "capacity": 3}, {}, "there capacity is 0"),
         ("mlab", {"layers": 33}, {}, "layers is at most 32"),
         ("mlab", {"format": "f16"}, {}, "nodes of other formats than f32"),
-        ("k_buffer", {"submission_order": "shuffled"}, {}, 'submission_order="shuffled" has no form'),
         ("multilayer_depth_peeling", {"mode": "bucket"}, {}, 'mode="bucket" has no form'),
         ("wboit", {"summation": "scaled"}, {}, 'wboit: summation="scaled" has no form on the backend "gpu"'),
         ("wboit", {"format": "bf16"}, {}, 'accumulation_format="bf16"'),
         ("blended_oit", {"accumulation_format": "f64"}, {"threads": 2}, 'is one of "f32", "f16"'),
-        ("a_buffer", {"overflow": "drop", "capacity": 4}, {}, 'overflow="drop"'),
+        ("a_buffer", {"overflow": "tail_blend", "capacity": 33}, {}, "there capacity is at most 32"),
         (
             "alpha_compositing",
             {"submission_order": "sorted"},

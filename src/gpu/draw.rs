@@ -25,6 +25,8 @@ pub struct Image {
     pub times: Times,
     /// Fragments whose weight of somebody's own was no weight.
     pub invalid_weights: u64,
+    /// Fragments beyond the capacity.
+    pub dropped: u64,
 }
 
 impl Image {
@@ -39,8 +41,8 @@ impl Image {
 pub struct Gpu {
     pub connection: Connection,
     pub layouts: Layouts,
-    /// Where shaders count fragments whose weight is none.
-    invalid_weights: Buffer,
+    /// Where shaders count fragments whose weight is none, and those that are dropped.
+    counters: Buffer,
 }
 
 pub(super) type Stop<'a> = &'a (dyn Fn() -> bool + Sync);
@@ -64,8 +66,8 @@ impl Gpu {
     pub fn new(connection: Connection) -> Self {
         let layouts = Layouts::new(&connection.device);
         let usage = BufferUsages::STORAGE | BufferUsages::COPY_SRC;
-        let invalid_weights = buffer(&connection, "invalid weights", 4, usage);
-        Self { connection, layouts, invalid_weights }
+        let counters = buffer(&connection, "counters", 8, usage);
+        Self { connection, layouts, counters }
     }
 
     /// What shaders know of the image, some of its rows and the technique's params.
@@ -94,7 +96,7 @@ impl Gpu {
                 BindingResource::TextureView(&picture.opaque_depth),
                 BindingResource::TextureView(&picture.opaque_color),
                 params.as_entire_binding(),
-                self.invalid_weights.as_entire_binding(),
+                self.counters.as_entire_binding(),
             ],
         )
     }
@@ -111,8 +113,8 @@ impl Gpu {
         raster: RasterPath,
         stop: Stop<'_>,
     ) -> Result<Image> {
-        if form.counts_invalid_weights() {
-            self.connection.queue.write_buffer(&self.invalid_weights, 0, &[0; 4]);
+        if form.counts() {
+            self.connection.queue.write_buffer(&self.counters, 0, &[0; 8]);
         }
         let mut image = match &form.path {
             _ if raster == RasterPath::Compute => self.tiled(picture, form, stop),
@@ -125,17 +127,14 @@ impl Gpu {
                 ];
                 self.listed(picture, form, ("resolve_stream", stream.sorted), &constants, stop)
             }
+            Path::Sampled(sampling) => self.sampled(picture, form, sampling, stop),
             Path::Peeled(peeling) => self.peeled(picture, form, peeling, stop),
         }?;
-        if form.counts_invalid_weights() {
-            image.invalid_weights = self.count_invalid_weights(stop)?;
+        if form.counts() {
+            let (counts, _) = Recorder::new(&self.connection, stop).finish::<u32>(&self.counters, 8)?;
+            [image.invalid_weights, image.dropped] = [counts[0].into(), counts[1].into()];
         }
         Ok(image)
-    }
-
-    fn count_invalid_weights(&self, stop: Stop<'_>) -> Result<u64> {
-        let (count, _) = Recorder::new(&self.connection, stop).finish::<u32>(&self.invalid_weights, 4)?;
-        Ok(count.iter().map(|&n| u64::from(n)).sum())
     }
 
     pub(super) fn most_bytes(&self) -> u64 {

@@ -76,6 +76,9 @@ impl Connection {
         match &form.path {
             Path::Blended(blending) => self.target_formats(blending).map(drop),
             Path::Listed(_) | Path::Streamed(_) => Ok(()),
+            Path::Sampled(sampling) => {
+                sampling.sums.iter().try_for_each(|sum| self.target_format(sum).map(drop))
+            }
             Path::Peeled(peeling) => self.peeling_formats(peeling).map(drop),
         }
     }

@@ -25,6 +25,8 @@ mod picture;
 #[cfg(feature = "gpu")]
 mod recorder;
 #[cfg(feature = "gpu")]
+mod samples;
+#[cfg(feature = "gpu")]
 mod shared;
 #[cfg(feature = "gpu")]
 mod tiles;
