@@ -361,6 +361,7 @@ impl<'a> Job<'a> {
         let resolve_ms = ranking_ms + share(variant.nanos);
         let alone = self.variants.len() == 1;
         let of_over = |tiles| if self.plan.overs.contains(&index) { tiles } else { 0 };
+        let of_sums = |pixels| if self.plan.sums.contains(&index) { pixels } else { 0 };
         Stats {
             total_ms: if alone { clock.wall_nanos as f64 * 1e-6 } else { raster_ms + resolve_ms },
             raster_ms,
@@ -381,6 +382,7 @@ impl<'a> Job<'a> {
                 ("hidden_fragments", variant.hidden_fragments),
                 ("one_color_tiles", of_over(tally.one_color_tiles)),
                 ("layered_tiles", of_over(tally.layered_tiles)),
+                ("repeated_pixels", of_sums(tally.repeated_pixels)),
                 ("duplicate_variants", u64::from(duplicate)),
             ]),
             backend: "cpu",
