@@ -126,7 +126,7 @@ pub struct Frame {
 }
 
 /// What can be skipped.
-const SKIPS: [&str; 9] = [
+const SKIPS: [&str; 10] = [
     "empty_tiles",
     "empty_pixels",
     "occluded_fragments",
@@ -135,6 +135,7 @@ const SKIPS: [&str; 9] = [
     "hidden_fragments",
     "one_color_tiles",
     "layered_tiles",
+    "repeated_pixels",
     "duplicate_variants",
 ];
 
