@@ -332,16 +332,11 @@ impl Form {
     /// # Errors
     /// `Error::Argument` for what has no such form.
     pub fn by_samples(self) -> Result<Self> {
-        match self.path {
-            Path::Streamed(Streaming { by_samples: Some(sampling), .. }) => {
-                Ok(Self { shader: sampling.shader, path: Path::Sampled(sampling), ..self })
-            }
-            _ => {
-                let problem =
-                    "what has no masks of samples has no form for \"samples\"; path=\"hardware\" has one";
-                Err(Error::argument("path", problem))
-            }
+        if let Path::Streamed(Streaming { by_samples: Some(sampling), .. }) = self.path {
+            return Ok(Self { shader: sampling.shader, path: Path::Sampled(sampling), ..self });
         }
+        let problem = "what has no masks of samples has no form for \"samples\"; path=\"hardware\" has one";
+        Err(Error::argument("path", problem))
     }
 
     /// The shader with the blocks that it may use.

@@ -209,6 +209,7 @@ pub fn tiny_runs(
 #[inline(always)]
 #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
 #[expect(clippy::cast_possible_truncation, reason = "a byte per column")]
+#[expect(clippy::needless_bitwise_bool, reason = "without branches")]
 fn tiny_coverage(points: [(i32, i32); 3], sign: i32, bounds: &Rect) -> u64 {
     let (px, py) = (bounds.x0 * SUBPIXELS + CENTER, bounds.y0 * SUBPIXELS + CENTER);
     let [a, b, c] = points;

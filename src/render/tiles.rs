@@ -209,7 +209,7 @@ impl Job<'_> {
         }
         tally.occluded.add(occluded.unwrap_or(drawn.occluded()));
         let cells = sums.cells();
-        tally.repeated_pixels += cells.map_or(0, |cells| (rect.area() - cells.len()) as u64);
+        tally.repeated_pixels += cells.map_or(0, |cells| (rect.area() - cells.count()) as u64);
         match cells {
             _ if lists_wanted => tally.count(lists.counts()),
             _ if over_wanted => tally.count(over.counts()),
@@ -397,7 +397,7 @@ fn store_cells<S: Sample>(
     finish: impl FnOnce(Range<usize>, &mut FinishedPixels),
 ) {
     let start = Instant::now();
-    finish(0..cells.len(), pixels);
+    finish(0..cells.count(), pixels);
     patch.fill(v, rect, cells, pixels);
     tally.variants[v].nanos += nanos_since(start);
 }

@@ -154,7 +154,7 @@ impl<'a> TileSums<'a> {
     fn keep_sums(&mut self, of: Kept) {
         if self.kept == Kept::Nothing {
             self.kept = of;
-            self.sums.clear(if of == Kept::Cells { self.cells.len() } else { self.rect.area() });
+            self.sums.clear(if of == Kept::Cells { self.cells.count() } else { self.rect.area() });
         }
     }
 

@@ -70,12 +70,12 @@ impl Weighted {
     #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
     fn add_to_all(&mut self, added: [f32; CHANNELS]) {
         let mut lanes = [0.0; PIXELS];
-        for lane in 0..PIXELS {
-            lanes[lane] = added[lane % CHANNELS];
+        for (lane, channel) in lanes.iter_mut().enumerate() {
+            *channel = added[lane % CHANNELS];
         }
-        for quarter in 0..CHANNELS {
-            for lane in 0..PIXELS {
-                self.0[quarter][lane] += lanes[lane];
+        for sums in &mut self.0 {
+            for (sum, channel) in sums.iter_mut().zip(lanes) {
+                *sum += channel;
             }
         }
     }

@@ -91,12 +91,11 @@ impl Composition {
             .chain(self.choices)
             .chain([Number::Whole(backwards.into())]);
         let (layers, sizes) = (self.layers, vec![self.mask_words]);
-        let path = match resolve {
-            Some(resolve) => Path::Listed(Listing { resolve, sorted, layers: Some(layers), sizes }),
-            None => {
-                let stream = Streaming::in_order(sorted, backwards);
-                Path::Streamed(stream.of_layers(layers).of_sizes(sizes).in_walks())
-            }
+        let path = if let Some(resolve) = resolve {
+            Path::Listed(Listing { resolve, sorted, layers: Some(layers), sizes })
+        } else {
+            let stream = Streaming::in_order(sorted, backwards);
+            Path::Streamed(stream.of_layers(layers).of_sizes(sizes).in_walks())
         };
         Form {
             weight: Some(self.weight.module),
