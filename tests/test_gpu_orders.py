@@ -126,3 +126,22 @@ def test_capacities_without_a_form_are_refused_by_name() -> None:
     params = {"overflow": "drop", "capacity": 3, "submission_order": "sorted"}
     with pytest.raises(ValueError, match=re.escape('submission_order="sorted" sorts fragments')):
         oitlab.gpu.render(SCENES["squares"], "a_buffer", params, path="compute")
+
+
+def test_an_order_beyond_the_device_is_an_error_that_says_so() -> None:
+    fragments = oitlab.Fragments(
+        width=1,
+        height=1,
+        offsets=[0, 2],
+        depth=np.array([1, 2], np.float32),
+        color=np.full((2, 3), 0.25, np.float32),
+        alpha=np.full(2, 0.5, np.float32),
+        primitive=np.array([0, 2**32 - 1], np.uint32),
+        near=0.5,
+        far=4.0,
+    )
+    with pytest.raises(MemoryError, match="the order of 4294967296 primitives"):
+        oitlab.render(fragments, "painter", backend="gpu")
+    got = oitlab.render(fragments, "painter", {"submission_order": "as_is"}, backend="gpu")
+    expected = oitlab.render(fragments, "painter", {"submission_order": "as_is"})
+    np.testing.assert_allclose(got.color, expected.color, rtol=0, atol=1e-6)
