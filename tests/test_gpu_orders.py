@@ -137,6 +137,7 @@ def test_an_order_beyond_the_device_is_an_error_that_says_so() -> None:
         color=np.full((2, 3), 0.25, np.float32),
         alpha=np.full(2, 0.5, np.float32),
         primitive=np.array([0, 2**32 - 1], np.uint32),
+        background=(0.1, 0.2, 0.3),
         near=0.5,
         far=4.0,
     )
