@@ -284,7 +284,7 @@ mod tests {
             lists.begin(rect, 0, usize::MAX);
             tile.begin(&raster, (0, 0), rect, true, &|| false);
             tile.transparent(&raster, (0, 0), Order::Submission, &mut lists, &|| false);
-            lists.distribute();
+            lists.distribute(false);
             lists.shade(0, rect.area(), &mut expected);
             let got = from_exports(&raster);
             let clipped = raster.drawn().filter(|d| matches!(d.outline, Outline::Polygon(_))).count();

@@ -11,6 +11,7 @@ use super::shade::{Paint, Premultiplied};
 use super::tile::{Cover, Sink, pixel_at};
 use crate::fragments::{Fragment, Lists};
 use crate::order::sort_key;
+use multiversion::multiversion;
 
 /// Collects a tile's fragments in submission order.
 #[derive(Default)]
@@ -24,7 +25,8 @@ pub struct TileLists<'a> {
     arrived: Vec<(Run, u32)>,
     /// The depths of all of them, one after the other.
     depth: Vec<f32>,
-    /// Of every primitive its id, its one colour, and its place in `varying` if it has several.
+    /// Of every primitive its id, its one colour, and its place in `varying` if it has several. The first is none: it
+    /// is what [`NOTHING`] has the number of.
     primitives: Vec<u32>,
     flat: Vec<Premultiplied>,
     places: Vec<u32>,
@@ -39,6 +41,9 @@ pub struct TileLists<'a> {
     starts: Vec<usize>,
     cursors: Vec<u32>,
 }
+
+/// Runs of at least so many pixels on average go into rows as a whole: their ends cost less than one store per pixel.
+const LONG: usize = 2 * LANES;
 
 /// The place of a primitive that is not in `varying`.
 const FLAT: u32 = u32::MAX;
@@ -57,8 +62,11 @@ impl TileLists<'_> {
         self.arrived.clear();
         self.depth.clear();
         self.primitives.clear();
+        self.primitives.push(0);
         self.flat.clear();
+        self.flat.push([0.0; 4]);
         self.places.clear();
+        self.places.push(FLAT);
         self.varying.clear();
         self.any_covers = false;
         self.counts.clear();
@@ -77,9 +85,18 @@ impl TileLists<'_> {
         &self.counts
     }
 
-    /// Distributes what arrived over the pixels, each pixel's in arrival order.
+    /// Distributes what arrived over the pixels: each pixel's in arrival order, or in any if they are to be sorted.
+    pub fn distribute(&mut self, any_order: bool) {
+        if any_order && self.depth.len() >= LONG * self.arrived.len() {
+            self.distribute_groups();
+        } else {
+            self.distribute_pixels();
+        }
+    }
+
+    /// One fragment after the other, into as many rows as the deepest pixel of a group has.
     #[expect(clippy::cast_possible_truncation, reason = "2^32 places are 32 GiB")]
-    pub fn distribute(&mut self) {
+    fn distribute_pixels(&mut self) {
         self.starts.clear();
         self.starts.push(0);
         self.cursors.clear();
@@ -89,10 +106,7 @@ impl TileLists<'_> {
             sum += counts.iter().max().map_or(0, |&deepest| deepest as usize);
             self.starts.push(sum);
         }
-        // what is left of other tiles is written over, by fragments or by NOTHING
-        if self.rows.len() < sum {
-            self.rows.resize(sum, [NOTHING; LANES]);
-        }
+        self.make_room(sum);
         for ((counts, first), last) in self.counts.chunks(LANES).zip(&self.starts).zip(&self.starts[1..]) {
             let rows = &mut self.rows[*first..*last];
             for lane in 0..LANES {
@@ -100,18 +114,42 @@ impl TileLists<'_> {
                 rows[count..].iter_mut().for_each(|row| row[lane] = NOTHING);
             }
         }
-        // what NOTHING is taken for
-        self.flat.push([0.0; 4]);
-        self.places.push(FLAT);
         let places = self.rows.as_flattened_mut();
         let mut depth = &self.depth[..];
         for &(run, number) in &self.arrived {
             let (now, later) = depth.split_at(run.len as usize);
             depth = later;
             for (cursor, &z) in self.cursors[run.pixels()].iter_mut().zip(now) {
-                places[*cursor as usize] = f64::from_bits(sort_key(z, number));
+                places[*cursor as usize] = pack(z, number);
                 *cursor += LANES as u32;
             }
+        }
+    }
+
+    /// Long runs, a row in each group that they touch: where a run ends, rows have pixels with nothing in them, which
+    /// only sorting puts behind the others.
+    #[expect(clippy::cast_possible_truncation, reason = "2^32 places are 32 GiB")]
+    fn distribute_groups(&mut self) {
+        let groups = self.counts.len().div_ceil(LANES);
+        self.starts.clear();
+        self.starts.resize(groups + 1, 0);
+        for (run, _) in &self.arrived {
+            self.starts[run.groups()].iter_mut().for_each(|rows| *rows += 1);
+        }
+        let mut sum = 0;
+        for start in &mut self.starts {
+            sum += std::mem::replace(start, sum);
+        }
+        self.make_room(sum);
+        self.cursors.clear();
+        self.cursors.extend(self.starts.iter().map(|&start| start as u32));
+        place_rows(&self.arrived, &self.depth, &mut self.cursors, &mut self.rows);
+    }
+
+    /// What is left of other tiles is written over, by fragments or by [`NOTHING`].
+    fn make_room(&mut self, rows: usize) {
+        if self.rows.len() < rows {
+            self.rows.resize(rows, [NOTHING; LANES]);
         }
     }
 
@@ -159,20 +197,21 @@ impl TileLists<'_> {
         self.any_covers
     }
 
-    /// The colours of a row's fragments, channel by channel; transparent black where there are none.
+    /// The colours of a row's fragments; transparent black where there are none.
     #[inline(always)]
     #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
-    pub fn colors_of(&self, row: &Row, pixel: usize) -> [[f32; LANES]; 4] {
-        let mut channels = [[0.0; LANES]; 4];
-        let is_flat = self.varying.is_empty();
-        for lane in 0..LANES {
-            let number = if row[lane] < NOTHING { unpack(row[lane]).1 } else { self.flat.len() - 1 };
-            let color = if is_flat { self.flat[number] } else { self.color(number, pixel + lane) };
-            for channel in 0..4 {
-                channels[channel][lane] = color[channel];
+    pub fn colors_of(&self, row: &Row, pixel: usize) -> [Premultiplied; LANES] {
+        let mut colors = [[0.0; 4]; LANES];
+        if self.varying.is_empty() {
+            for lane in 0..LANES {
+                colors[lane] = self.flat[unpack(row[lane]).1];
+            }
+        } else {
+            for lane in 0..LANES {
+                colors[lane] = self.color(unpack(row[lane]).1, pixel + lane);
             }
         }
-        channels
+        colors
     }
 
     #[cold]
@@ -183,13 +222,47 @@ impl TileLists<'_> {
     }
 }
 
-/// Depth and primitive number of a packed fragment.
+/// Depth and primitive number as one number.
+#[inline(always)]
+#[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+fn pack(depth: f32, number: u32) -> f64 {
+    f64::from_bits(sort_key(depth, number))
+}
+
+/// Depth and primitive number of a packed fragment; the number zero of [`NOTHING`].
 #[inline(always)]
 #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
 #[expect(clippy::cast_possible_truncation, reason = "the halves of the key")]
 fn unpack(packed: f64) -> (f32, usize) {
     let key = packed.to_bits();
     (f32::from_bits((key >> 32) as u32), key as u32 as usize)
+}
+
+/// Writes each run into the next row of every group that it touches.
+#[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
+fn place_rows(arrived: &[(Run, u32)], mut depth: &[f32], cursors: &mut [u32], rows: &mut [Row]) {
+    for &(run, number) in arrived {
+        let (mut now, later) = depth.split_at(run.len as usize);
+        depth = later;
+        let mut lane = run.first as usize % LANES;
+        for cursor in &mut cursors[run.groups()] {
+            let row = &mut rows[*cursor as usize];
+            *cursor += 1;
+            if let (0, Some(whole)) = (lane, now.first_chunk::<LANES>()) {
+                for lane in 0..LANES {
+                    row[lane] = pack(whole[lane], number);
+                }
+                now = &now[LANES..];
+            } else {
+                let (part, left) = now.split_at(now.len().min(LANES - lane));
+                *row = [NOTHING; LANES];
+                for (place, &z) in row[lane..].iter_mut().zip(part) {
+                    *place = pack(z, number);
+                }
+                (now, lane) = (left, 0);
+            }
+        }
+    }
 }
 
 impl<'r> Sink<'r> for TileLists<'r> {

@@ -2,6 +2,7 @@
 //! pixels, in floating point that is precise enough to be exact.
 
 use super::cover::Rect;
+use super::interpolate::LANES;
 use super::project::{CENTER, SUBPIXELS};
 
 /// Neighbouring pixels of a row.
@@ -22,11 +23,15 @@ impl Run {
     pub fn pixels(self) -> std::ops::Range<usize> {
         self.first as usize..(self.first + self.len) as usize
     }
+
+    /// The groups of [`LANES`] pixels of the tile that it touches.
+    pub fn groups(self) -> std::ops::Range<usize> {
+        self.first as usize / LANES..((self.first + self.len) as usize).div_ceil(LANES)
+    }
 }
 
-/// Rows that are looked at together, at most, and what their number is rounded up to: whole vectors.
+/// Rows that are looked at together, at most; in whole vectors.
 const ROWS: usize = 64;
-const LANES: usize = 8;
 
 /// Adding and taking away again rounds to the nearest integer.
 const ROUND: f64 = 6_755_399_441_055_744.0; // 1.5 * 2^52

@@ -53,7 +53,7 @@ pub(super) fn tile(
     if tile.begin(raster, place, rect, true, stop)
         && tile.transparent(raster, place, Order::Submission, &mut collected, stop)
     {
-        collected.distribute();
+        collected.distribute(false);
         collected.shade(0, rect.area(), &mut lists);
     } else {
         lists = Lists::empty_rows(rect.area());

@@ -129,7 +129,8 @@ impl Job<'_> {
             }
             Drawn::Done { lists, over } => {
                 if lists {
-                    worker.lists.distribute();
+                    // `over` alone gets them sorted
+                    worker.lists.distribute(self.plan.listed.is_empty());
                 }
                 tally.raster_nanos += nanos_since(start);
                 self.finish_streamed(&rect, over, worker, patch, tally);

@@ -1,6 +1,6 @@
 //! Compositing of sorted lists, eight pixels at a time.
 
-use crate::raster::{LANES, NOTHING, TileLists};
+use crate::raster::{LANES, NOTHING, Premultiplied, Row, TileLists};
 use crate::technique::FinishedPixels;
 use multiversion::multiversion;
 use std::ops::Range;
@@ -29,44 +29,70 @@ fn over_groups(
 ) -> u64 {
     let mut hidden = 0;
     let colors = r.chunks_mut(LANES).zip(g.chunks_mut(LANES)).zip(b.chunks_mut(LANES));
-    let pixels = background.chunks(LANES).zip(colors.zip(share.chunks_mut(LANES)));
-    for (group, (background, (((r, g), b), share))) in (first / LANES..).zip(pixels) {
-        let (mut sums, mut transmittance) = ([[0.0; LANES]; 3], [1.0; LANES]);
+    for (group, (((r, g), b), share)) in (first / LANES..).zip(colors.zip(share.chunks_mut(LANES))) {
+        let mut over = Over::nothing();
         let rows = lists.rows_of(group);
-        for (i, row) in rows.iter().enumerate() {
-            let [red, green, blue, alpha] = lists.colors_of(row, group * LANES);
-            add(&mut sums[0], &transmittance, &red);
-            add(&mut sums[1], &transmittance, &green);
-            add(&mut sums[2], &transmittance, &blue);
-            let mut behind = transmittance;
-            for lane in 0..LANES {
-                behind[lane] *= 1.0 - f64::from(alpha[lane]);
-            }
-            transmittance = behind;
-            if skip && transmittance == [0.0; LANES] {
-                let left = rows[i + 1..].as_flattened();
-                hidden += left.iter().map(|&packed| u64::from(packed != NOTHING)).sum::<u64>();
-                break;
-            }
+        if skip {
+            hidden += over.put_behind_until_covered(lists, group * LANES, rows);
+        } else {
+            rows.iter().for_each(|row| over.put_behind(&lists.colors_of(row, group * LANES)));
         }
-        for (lane, background) in background.iter().enumerate() {
-            let behind = background.map(|channel| transmittance[lane] * f64::from(channel));
-            r[lane] = sums[0][lane] + behind[0];
-            g[lane] = sums[1][lane] + behind[1];
-            b[lane] = sums[2][lane] + behind[2];
+        for lane in 0..share.len() {
+            [r[lane], g[lane], b[lane], _] = over.sums[lane];
+            share[lane] = over.transmittance[lane];
         }
-        share.copy_from_slice(&transmittance[..share.len()]);
+    }
+    // slices of one length need no checks, and the loop becomes one of vectors across the pixels
+    let pixels = background.len();
+    let (r, g, b, share) = (&mut r[..pixels], &mut g[..pixels], &mut b[..pixels], &share[..pixels]);
+    for i in 0..pixels {
+        let (behind, transmittance) = (background[i], share[i]);
+        r[i] += transmittance * f64::from(behind[0]);
+        g[i] += transmittance * f64::from(behind[1]);
+        b[i] += transmittance * f64::from(behind[2]);
     }
     hidden
 }
 
-/// `sum += transmittance * channel`
-#[inline(always)]
-#[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
-fn add(sum: &mut [f64; LANES], transmittance: &[f64; LANES], channel: &[f32; LANES]) {
-    let mut sums = *sum;
-    for lane in 0..LANES {
-        sums[lane] += transmittance[lane] * f64::from(channel[lane]);
+/// What has been composited of a group of pixels. A pixel's channels lie together, as colours do: pixels side by side
+/// would have to be put there one by one.
+struct Over {
+    /// Red, green and blue; the fourth is for the alignment.
+    sums: [[f64; 4]; LANES],
+    transmittance: [f64; LANES],
+}
+
+impl Over {
+    #[inline(always)]
+    #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+    fn nothing() -> Self {
+        Self { sums: [[0.0; 4]; LANES], transmittance: [1.0; LANES] }
     }
-    *sum = sums;
+
+    /// One more fragment behind those of each pixel.
+    #[inline(always)]
+    #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+    fn put_behind(&mut self, colors: &[Premultiplied; LANES]) {
+        for lane in 0..LANES {
+            let (color, transmittance) = (colors[lane], self.transmittance[lane]);
+            let mut sums = self.sums[lane];
+            for channel in 0..4 {
+                sums[channel] += transmittance * f64::from(color[channel]);
+            }
+            self.sums[lane] = sums;
+            self.transmittance[lane] = transmittance * (1.0 - f64::from(color[3]));
+        }
+    }
+
+    /// All rows, or those up to where nothing behind can be seen; the number of fragments after that.
+    fn put_behind_until_covered(&mut self, lists: &TileLists<'_>, pixel: usize, rows: &[Row]) -> u64 {
+        for (i, row) in rows.iter().enumerate() {
+            self.put_behind(&lists.colors_of(row, pixel));
+            if self.transmittance == [0.0; LANES] {
+                let left = rows[i + 1..].as_flattened();
+                return left.iter().map(|&packed| u64::from(packed != NOTHING)).sum();
+            }
+        }
+        0
+    }
 }
