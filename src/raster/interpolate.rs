@@ -3,6 +3,7 @@
 //! Every pixel is evaluated on its own from the primitive's vertices, never stepped from a neighbour, so that
 //! tiles, threads and SIMD widths cannot change a bit; and every result is clamped to the vertices' range.
 
+use super::pixels::Pixels;
 use super::project::{CENTER, Projector, SUBPIXELS, ScreenVertex};
 use super::runs::Run;
 use glam::DVec3;
@@ -80,14 +81,15 @@ impl Plane {
     pub fn new(v: &[ScreenVertex; 3], perspective: bool) -> Self {
         let difference = |i: usize| (f64::from(v[i].x - v[0].x), f64::from(v[i].y - v[0].y));
         let (to_1, to_2) = (difference(1), difference(2));
-        let z = v.map(|v| v.z);
+        let z = [v[0].z, v[1].z, v[2].z];
         let area = to_1.0 * to_2.1 - to_2.0 * to_1.1;
         Self {
             origin: (v[0].x, v[0].y),
             to_1,
             to_2,
             area,
-            values: if perspective { z.map(f64::recip) } else { z },
+            // written out: a function's name would be called, and not for the instruction set at hand
+            values: if perspective { [1.0 / z[0], 1.0 / z[1], 1.0 / z[2]] } else { z },
             perspective,
             range: (z[0].min(z[1]).min(z[2]), z[0].max(z[1]).max(z[2])),
         }
@@ -128,60 +130,39 @@ fn clamp_depth(depth: f64, (low, high): (f64, f64)) -> f64 {
     if depth < high { depth } else { high }
 }
 
-/// Pixels of one primitive up to which they are listed one by one; runs pay off from here on.
-pub const FEW: usize = 64;
-
-/// The pixels of a small primitive, one by one.
-#[derive(Debug, Clone)]
-pub struct Pixels {
-    /// Indices in the tile. There is room for whole vectors.
-    places: [u32; FEW + LANES],
-    count: usize,
-}
-
-impl Default for Pixels {
-    fn default() -> Self {
-        Self { places: [0; FEW + LANES], count: 0 }
-    }
-}
-
-impl Pixels {
-    /// No pixels.
-    pub fn clear(&mut self) {
-        self.count = 0;
-    }
-
-    /// Lists the pixels of some runs, which are no more than [`FEW`].
+impl Plane {
+    /// The depths of some pixels: the bits of [`Surface::at`].
     #[inline(always)]
     #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
-    pub fn list(&mut self, runs: &[Run]) {
-        let mut next = 0;
-        for run in runs {
-            let end = next + run.len as usize;
-            let mut first = run.first;
-            while next < end {
-                // whole vectors, the ends of which the next run writes over
-                let places = [0, 1, 2, 3, 4, 5, 6, 7].map(|lane| first + lane);
-                self.places[next..next + LANES].copy_from_slice(&places);
-                (next, first) = (next + LANES, places[LANES - 1] + 1);
-            }
-            next = end;
+    #[expect(clippy::cast_possible_truncation, reason = "fragments store depth as f32")]
+    pub fn depths_at(&self, pixels: &Pixels, depth: &mut [f32]) {
+        let (x0, y0) = pixels.origin();
+        let (right, down) =
+            (x0 * SUBPIXELS + CENTER - self.origin.0, y0 * SUBPIXELS + CENTER - self.origin.1);
+        for (depth, &at) in depth.iter_mut().zip(pixels.at()) {
+            let dx = f64::from((at & 0xFFFF).cast_signed() * SUBPIXELS + right);
+            let dy = f64::from((at >> 16).cast_signed() * SUBPIXELS + down);
+            *depth =
+                self.depth(dx * self.to_2.1 - dy * self.to_2.0, dy * self.to_1.0 - dx * self.to_1.1) as f32;
         }
-        self.count = next;
     }
 
-    /// The pixels' indices in the tile.
-    pub fn places(&self) -> &[u32] {
-        &self.places[..self.count]
+    /// The depth where two edge functions have these values.
+    #[inline(always)]
+    #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+    fn depth(&self, l1: f64, l2: f64) -> f64 {
+        let [v0, v1, v2] = self.values;
+        let sum = (self.area - l1 - l2) * v0 + l1 * v1 + l2 * v2;
+        // one division, whichever it is
+        let (above, below) = if self.perspective { (self.area, sum) } else { (sum, self.area) };
+        clamp_depth(above / below, self.range)
     }
-}
 
-impl Plane {
     /// The depths of all pixels of the runs, one after the other in `depth`, which has room for [`LANES`] more: the
     /// bits of [`Surface::at`]. What is in the room is within the corners' range, too.
     #[inline(always)]
     #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
-    pub fn depths(&self, runs: &[Run], depth: &mut [f32]) {
+    fn depths(&self, runs: &[Run], depth: &mut [f32]) {
         let mut next = 0;
         for run in runs {
             // whole vectors, the ends of which the next run writes over
@@ -191,7 +172,7 @@ impl Plane {
         }
     }
 
-    /// The same for many runs, by the processor's best instructions.
+    /// The same by the processor's best instructions.
     pub fn depths_of_many(&self, runs: &[Run], depth: &mut [f32]) {
         depths_of_many(self, runs, depth);
     }
@@ -202,18 +183,12 @@ impl Plane {
     #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
     #[expect(clippy::cast_possible_truncation, reason = "fragments store depth as f32")]
     fn depths_of_row(&self, run: &Run, depth: &mut [f32]) {
-        let [v0, v1, v2] = self.values;
         let dx = f64::from(run.x * SUBPIXELS + CENTER - self.origin.0);
         let dy = f64::from(run.y * SUBPIXELS + CENTER - self.origin.1);
         let (down_1, down_2) = (dy * self.to_1.0, dy * self.to_2.0);
         for (depth, i) in depth.iter_mut().zip(0..) {
             let dx = dx + f64::from(i * SUBPIXELS);
-            let l1 = dx * self.to_2.1 - down_2;
-            let l2 = down_1 - dx * self.to_1.1;
-            let sum = (self.area - l1 - l2) * v0 + l1 * v1 + l2 * v2;
-            // one division, whichever it is
-            let (above, below) = if self.perspective { (self.area, sum) } else { (sum, self.area) };
-            *depth = clamp_depth(above / below, self.range) as f32;
+            *depth = self.depth(dx * self.to_2.1 - down_2, down_1 - dx * self.to_1.1) as f32;
         }
     }
 }
@@ -260,6 +235,8 @@ impl Ray<'_> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::cover::Rect;
+    use super::super::pixels::FEW;
     use super::*;
     use crate::scene::{Camera, Projection};
 
@@ -315,6 +292,13 @@ mod tests {
             let mut again = vec![0.0; count + LANES];
             plane.depths_of_many(&runs, &mut again);
             assert_eq!(depth[..count], again[..count]);
+            if count <= FEW {
+                let mut few = Pixels::default();
+                few.begin(Rect { x0: 30, y0: 40, x1: 130, y1: 90 });
+                few.list(&runs);
+                plane.depths_at(&few, &mut again);
+                assert_eq!(depth[..count], again[..count]);
+            }
             for ((x, y), depth) in pixels.zip(depth) {
                 assert_eq!(plane.at(x, y).depth, depth);
             }

@@ -3,10 +3,11 @@
 //! Eight pixels share a group of rows, a column each, as many rows as the deepest of them has fragments, so that
 //! eight lists are sorted at once. What is missing is [`NOTHING`], which sorts behind everything.
 
+use super::arrivals::Arrivals;
 use super::cover::Rect;
 use super::interpolate::{LANES, Surface};
 use super::network::{NOTHING, Row, sort_columns};
-use super::runs::Run;
+use super::pixels::Where;
 use super::shade::{Paint, Premultiplied};
 use super::tile::{Cover, Sink, pixel_at};
 use crate::fragments::{Fragment, Lists};
@@ -21,10 +22,8 @@ pub struct TileLists<'a> {
     /// Primitives that are to be looked at, and those that have been.
     expected: usize,
     visited: usize,
-    /// Every run as it came, with the tile's own number of its primitive.
-    arrived: Vec<(Run, u32)>,
-    /// The depths of all of them, one after the other.
-    depth: Vec<f32>,
+    /// The fragments as they came. The n-th primitive has the tile's own number n + 1.
+    arrived: Arrivals,
     /// Of every primitive its id, its one colour, and its place in `varying` if it has several. The first is none: it
     /// is what [`NOTHING`] has the number of.
     primitives: Vec<u32>,
@@ -60,7 +59,6 @@ impl TileLists<'_> {
         self.visited = 0;
         self.budget = budget;
         self.arrived.clear();
-        self.depth.clear();
         self.primitives.clear();
         self.primitives.push(0);
         self.flat.clear();
@@ -77,7 +75,7 @@ impl TileLists<'_> {
     /// primitives have been looked at, twice as many are allowed: that costs less than to begin again with two halves.
     pub fn is_over_budget(&self) -> bool {
         let nearly_done = 4 * self.visited >= 3 * self.expected;
-        self.depth.len() > self.budget.saturating_mul(1 + usize::from(nearly_done))
+        self.arrived.fragments() > self.budget.saturating_mul(1 + usize::from(nearly_done))
     }
 
     /// Fragments per pixel.
@@ -87,7 +85,7 @@ impl TileLists<'_> {
 
     /// Distributes what arrived over the pixels: each pixel's in arrival order, or in any if they are to be sorted.
     pub fn distribute(&mut self, any_order: bool) {
-        if any_order && self.depth.len() >= LONG * self.arrived.len() {
+        if any_order && self.arrived.fragments() >= LONG * self.arrived.runs() {
             self.distribute_groups();
         } else {
             self.distribute_pixels();
@@ -115,13 +113,20 @@ impl TileLists<'_> {
             }
         }
         let places = self.rows.as_flattened_mut();
-        let mut depth = &self.depth[..];
-        for &(run, number) in &self.arrived {
-            let (now, later) = depth.split_at(run.len as usize);
-            depth = later;
-            for (cursor, &z) in self.cursors[run.pixels()].iter_mut().zip(now) {
-                places[*cursor as usize] = pack(z, number);
-                *cursor += LANES as u32;
+        let cursors = &mut self.cursors;
+        let mut put = |cursor: &mut u32, z, number| {
+            places[*cursor as usize] = pack(z, number);
+            *cursor += LANES as u32;
+        };
+        for (arrived, number) in self.arrived.iter().zip(1..) {
+            let mut depth = arrived.depth;
+            for run in arrived.runs {
+                let (now, later) = depth.split_at(run.len as usize);
+                depth = later;
+                cursors[run.pixels()].iter_mut().zip(now).for_each(|(cursor, &z)| put(cursor, z, number));
+            }
+            for (&pixel, &z) in arrived.pixels.iter().zip(depth) {
+                put(&mut cursors[pixel as usize], z, number);
             }
         }
     }
@@ -133,8 +138,11 @@ impl TileLists<'_> {
         let groups = self.counts.len().div_ceil(LANES);
         self.starts.clear();
         self.starts.resize(groups + 1, 0);
-        for (run, _) in &self.arrived {
-            self.starts[run.groups()].iter_mut().for_each(|rows| *rows += 1);
+        for arrived in self.arrived.iter() {
+            for run in arrived.runs {
+                self.starts[run.groups()].iter_mut().for_each(|rows| *rows += 1);
+            }
+            arrived.pixels.iter().for_each(|&pixel| self.starts[pixel as usize / LANES] += 1);
         }
         let mut sum = 0;
         for start in &mut self.starts {
@@ -143,7 +151,7 @@ impl TileLists<'_> {
         self.make_room(sum);
         self.cursors.clear();
         self.cursors.extend(self.starts.iter().map(|&start| start as u32));
-        place_rows(&self.arrived, &self.depth, &mut self.cursors, &mut self.rows);
+        place_rows(&self.arrived, &mut self.cursors, &mut self.rows);
     }
 
     /// What is left of other tiles is written over, by fragments or by [`NOTHING`].
@@ -240,27 +248,40 @@ fn unpack(packed: f64) -> (f32, usize) {
 
 /// Writes each run into the next row of every group that it touches.
 #[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
-fn place_rows(arrived: &[(Run, u32)], mut depth: &[f32], cursors: &mut [u32], rows: &mut [Row]) {
-    for &(run, number) in arrived {
-        let (mut now, later) = depth.split_at(run.len as usize);
-        depth = later;
-        let mut lane = run.first as usize % LANES;
-        for cursor in &mut cursors[run.groups()] {
-            let row = &mut rows[*cursor as usize];
-            *cursor += 1;
-            if let (0, Some(whole)) = (lane, now.first_chunk::<LANES>()) {
-                for lane in 0..LANES {
-                    row[lane] = pack(whole[lane], number);
-                }
-                now = &now[LANES..];
-            } else {
-                let (part, left) = now.split_at(now.len().min(LANES - lane));
-                *row = [NOTHING; LANES];
-                for (place, &z) in row[lane..].iter_mut().zip(part) {
-                    *place = pack(z, number);
-                }
-                (now, lane) = (left, 0);
+fn place_rows(arrivals: &Arrivals, cursors: &mut [u32], rows: &mut [Row]) {
+    for (arrived, number) in arrivals.iter().zip(1..) {
+        let mut depth = arrived.depth;
+        for run in arrived.runs {
+            let (now, later) = depth.split_at(run.len as usize);
+            depth = later;
+            place_run(run.first as usize % LANES, now, number, &mut cursors[run.groups()], rows);
+        }
+        for (&pixel, z) in arrived.pixels.iter().zip(depth.chunks(1)) {
+            let pixel = pixel as usize;
+            place_run(pixel % LANES, z, number, &mut cursors[pixel / LANES..=pixel / LANES], rows);
+        }
+    }
+}
+
+/// Writes a run of these depths, which begins at lane `lane` of its first group.
+#[inline(always)]
+#[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+fn place_run(mut lane: usize, mut depth: &[f32], number: u32, cursors: &mut [u32], rows: &mut [Row]) {
+    for cursor in cursors {
+        let row = &mut rows[*cursor as usize];
+        *cursor += 1;
+        if let (0, Some(whole)) = (lane, depth.first_chunk::<LANES>()) {
+            for lane in 0..LANES {
+                row[lane] = pack(whole[lane], number);
             }
+            depth = &depth[LANES..];
+        } else {
+            let (now, later) = depth.split_at(depth.len().min(LANES - lane));
+            *row = [NOTHING; LANES];
+            for (place, &z) in row[lane..].iter_mut().zip(now) {
+                *place = pack(z, number);
+            }
+            (depth, lane) = (later, 0);
         }
     }
 }
@@ -269,17 +290,16 @@ impl<'r> Sink<'r> for TileLists<'r> {
     #[inline(always)]
     #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
     fn take(&mut self, cover: &Cover<'_, 'r>) -> bool {
-        #[expect(clippy::cast_possible_truncation, reason = "primitives of one tile")]
-        let number = self.primitives.len() as u32;
         self.visited = cover.visited;
-        for &run in cover.runs {
-            self.counts[run.pixels()].iter_mut().for_each(|n| *n += 1);
-            self.arrived.push((run, number));
+        match cover.at {
+            Where::Few(_) => cover.at.for_each(|_, pixel| self.counts[pixel] += 1),
+            Where::Many(runs) => {
+                for run in runs {
+                    self.counts[run.pixels()].iter_mut().for_each(|n| *n += 1);
+                }
+            }
         }
-        match cover.constant_depth {
-            Some(depth) => self.depth.resize(self.depth.len() + cover.pixels, depth),
-            None => self.depth.extend_from_slice(&cover.depth[..cover.pixels]),
-        }
+        self.arrived.push(cover);
         self.primitives.push(cover.primitive);
         match cover.paint {
             Paint::Flat(color) => {
@@ -308,7 +328,7 @@ mod tests {
         let mut lists = TileLists::default();
         let is_over = |lists: &mut TileLists<'_>, fragments, visited| {
             lists.begin(Rect { x0: 0, y0: 0, x1: 8, y1: 8 }, 4, 10);
-            lists.depth.resize(fragments, 1.0);
+            lists.arrived.resize(fragments);
             lists.visited = visited;
             lists.is_over_budget()
         };

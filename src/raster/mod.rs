@@ -1,5 +1,6 @@
 //! From a scene to fragments: project and snap, clip, set up, bin into tiles, cover, shade.
 
+mod arrivals;
 mod clip;
 mod cover;
 mod export;
@@ -7,6 +8,7 @@ mod interpolate;
 mod lists;
 mod network;
 mod occlusion;
+mod pixels;
 mod project;
 mod runs;
 mod setup;
@@ -20,6 +22,7 @@ pub use interpolate::LANES;
 pub use lists::TileLists;
 pub use network::{NOTHING, Row};
 pub use occlusion::Opaque;
+pub use pixels::Where;
 pub use runs::Run;
 pub use shade::{AMBIENT, Mask, Paint, Premultiplied, Shade};
 pub use tile::{Cover, Occluded, Sink, Tile, pixel_at};

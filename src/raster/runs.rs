@@ -20,12 +20,12 @@ pub struct Run {
 
 impl Run {
     /// The pixels' indices in the tile.
-    pub fn pixels(self) -> std::ops::Range<usize> {
+    pub fn pixels(&self) -> std::ops::Range<usize> {
         self.first as usize..(self.first + self.len) as usize
     }
 
     /// The groups of [`LANES`] pixels of the tile that it touches.
-    pub fn groups(self) -> std::ops::Range<usize> {
+    pub fn groups(&self) -> std::ops::Range<usize> {
         self.first as usize / LANES..((self.first + self.len) as usize).div_ceil(LANES)
     }
 }
@@ -77,6 +77,13 @@ impl Edge {
         }
     }
 
+    /// The three edges of a triangle.
+    #[inline(always)]
+    #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+    fn all([a, b, c]: [(i32, i32); 3], y: i32, sign: f64) -> [Self; 3] {
+        [Self::new(a, b, y, sign), Self::new(b, c, y, sign), Self::new(c, a, y, sign)]
+    }
+
     /// The crossing with the row that many rows below the first.
     #[inline(always)]
     #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
@@ -116,6 +123,24 @@ fn row_ends(edges: [Edge; 3], first: i32, (x0, x1): (f64, f64), from: &mut [i32]
     }
 }
 
+/// Where the rows of `bounds` begin and end in a triangle, of which there are no more than room for them; an end that
+/// is before its beginning is that of an empty row. The number of rows.
+#[inline(always)]
+#[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+pub fn ends_of_rows<const N: usize>(
+    points: [(i32, i32); 3],
+    sign: f64,
+    bounds: &Rect,
+    from: &mut [i32; N],
+    to: &mut [i32; N],
+) -> usize {
+    let edges = Edge::all(points, bounds.y0, sign);
+    let whole = bounds.height().next_multiple_of(LANES);
+    let limits = (f64::from(bounds.x0), f64::from(bounds.x1));
+    row_ends(edges, 0, limits, &mut from[..whole], &mut to[..whole]);
+    bounds.height()
+}
+
 /// The runs of the pixels of `bounds` that a triangle of nonzero area covers, row by row from the top; their
 /// indices are those in `rect`, which holds `bounds`. Gives the number of pixels.
 ///
@@ -130,12 +155,7 @@ pub fn triangle_runs(
     bounds: &Rect,
     runs: &mut Vec<Run>,
 ) -> usize {
-    let [a, b, c] = points;
-    let edges = [
-        Edge::new(a, b, bounds.y0, sign),
-        Edge::new(b, c, bounds.y0, sign),
-        Edge::new(c, a, bounds.y0, sign),
-    ];
+    let edges = Edge::all(points, bounds.y0, sign);
     let limits = (f64::from(bounds.x0), f64::from(bounds.x1));
     let width = rect.x1 - rect.x0;
     let mut start = (bounds.y0 - rect.y0) * width - rect.x0;
@@ -162,122 +182,13 @@ pub fn triangle_runs(
 /// Whether a triangle covers all pixels of `rect`, which is no larger than its bounds: edges are straight, so that
 /// the first and the last row tell.
 pub fn covers_all(points: [(i32, i32); 3], sign: f64, rect: &Rect) -> bool {
-    let [a, b, c] = points;
     let last = f64::from(rect.y1 - 1 - rect.y0);
     let (x0, x1) = (f64::from(rect.x0), f64::from(rect.x1));
-    [(a, b), (b, c), (c, a)].into_iter().all(|(from, to)| {
-        let edge = Edge::new(from, to, rect.y0, sign);
+    Edge::all(points, rect.y0, sign).into_iter().all(|edge| {
         [edge.crossing(0.0), edge.crossing(last)]
             .into_iter()
             .all(|x| x + edge.on_left <= x0 && x + edge.on_right >= x1)
     })
-}
-
-/// Triangles of no more columns and rows of pixels are looked at pixel by pixel.
-const TINY: i32 = 8;
-/// No corner is farther away from a pixel of such a triangle's bounds, in sub-pixels, so that edge functions fit
-/// 32 bits.
-const TINY_REACH: i32 = 16 * SUBPIXELS;
-
-/// Whether [`tiny_runs`] can be used.
-pub fn is_tiny(points: &[(i32, i32); 3], bounds: &Rect) -> bool {
-    let near = |&(x, y): &(i32, i32)| {
-        (x - bounds.x0 * SUBPIXELS).abs() < TINY_REACH && (y - bounds.y0 * SUBPIXELS).abs() < TINY_REACH
-    };
-    bounds.x1 - bounds.x0 <= TINY && bounds.y1 - bounds.y0 <= TINY && points.iter().all(near)
-}
-
-/// [`triangle_runs`] of a tiny triangle, by the edge functions of 8 x 8 pixels from the bounds' corner on.
-#[inline(always)]
-#[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
-pub fn tiny_runs(
-    points: [(i32, i32); 3],
-    sign: i32,
-    rect: &Rect,
-    bounds: &Rect,
-    runs: &mut Vec<Run>,
-) -> usize {
-    let (columns, rows) = (bounds.x1 - bounds.x0, bounds.y1 - bounds.y0);
-    let in_columns = 0x0101_0101_0101_0101 * ((1_u64 << columns) - 1);
-    let in_rows = u64::MAX >> (64 - 8 * rows);
-    let covered = tiny_coverage(points, sign, bounds) & in_columns & in_rows;
-    // a number of rows that is known needs no branch per row
-    if rows <= TINY / 2 {
-        list_runs::<4>(covered, rect, bounds, runs);
-    } else {
-        list_runs::<8>(covered, rect, bounds, runs);
-    }
-    covered.count_ones() as usize
-}
-
-/// A byte per row and a bit per pixel of 8 x 8: those inside of all edges. Rows beyond the bounds are undefined.
-#[inline(always)]
-#[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
-#[expect(clippy::cast_possible_truncation, reason = "a byte per column")]
-#[expect(clippy::needless_bitwise_bool, reason = "without branches")]
-fn tiny_coverage(points: [(i32, i32); 3], sign: i32, bounds: &Rect) -> u64 {
-    let (px, py) = (bounds.x0 * SUBPIXELS + CENTER, bounds.y0 * SUBPIXELS + CENTER);
-    let [a, b, c] = points;
-    let (mut edges, mut down) = ([[0_i32; 8]; 3], [0; 3]);
-    for ((edge, down), (from, to)) in edges.iter_mut().zip(&mut down).zip([(a, b), (b, c), (c, a)]) {
-        let (dx, dy) = ((to.0 - from.0) * sign, (to.1 - from.1) * sign);
-        // a centre on an edge is inside if the edge is a top or left one as the triangle is walked clockwise; which one
-        // it is cannot be foreseen, so that branches would cost more
-        let least = i32::from((dy > 0) | ((dy == 0) & (dx <= 0)));
-        let at_corner = dx * (py - from.1) - dy * (px - from.0) - least;
-        for (x, at) in (0..8).zip(edge) {
-            *at = at_corner - dy * SUBPIXELS * x;
-        }
-        *down = dx * SUBPIXELS;
-    }
-    // a word per column and a bit per row of what is outside, from the signs
-    let (mut outside, mut row) = ([0_u32; 8], 1);
-    for _ in bounds.y0..bounds.y1 {
-        let [first, second, third] = &mut edges;
-        for x in 0..8 {
-            outside[x] |= ((first[x] | second[x] | third[x]) >> 31).cast_unsigned() & row;
-        }
-        for (edge, down) in [first, second, third].into_iter().zip(down) {
-            for at in edge {
-                *at += down;
-            }
-        }
-        row <<= 1;
-    }
-    !transposed(u64::from_le_bytes(outside.map(|rows| rows as u8)))
-}
-
-/// The 8 x 8 bits with rows and columns exchanged: blocks of 1, 2 and 4 change places across the diagonal.
-#[inline(always)]
-#[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
-fn transposed(mut bits: u64) -> u64 {
-    for (shift, upper) in [(7, 0x00AA_00AA_00AA_00AA), (14, 0x0000_CCCC_0000_CCCC), (28, 0xF0F0_F0F0)] {
-        let changed = (bits ^ (bits >> shift)) & upper;
-        bits ^= changed ^ (changed << shift);
-    }
-    bits
-}
-
-/// The runs of so many rows of pixels, given as bits.
-#[inline(always)]
-#[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
-fn list_runs<const ROWS: usize>(mut covered: u64, rect: &Rect, bounds: &Rect, runs: &mut Vec<Run>) {
-    let width = rect.x1 - rect.x0;
-    let mut start = (bounds.y0 - rect.y0) * width + bounds.x0 - rect.x0;
-    // every row is written, and those with pixels are kept: empty ones come as a surprise
-    let (mut of_rows, mut kept) = ([Run::default(); ROWS], 0);
-    for y in (bounds.y0..).take(ROWS) {
-        let row = covered & 0xFF;
-        let x = row.trailing_zeros().cast_signed();
-        let first = (start + x).cast_unsigned();
-        of_rows[kept] = Run { x: bounds.x0 + x, y, first, len: row.count_ones() };
-        kept += usize::from(row != 0);
-        covered >>= 8;
-        start += width;
-    }
-    let before = runs.len();
-    runs.extend_from_slice(&of_rows);
-    runs.truncate(before + kept);
 }
 
 #[cfg(test)]
@@ -293,7 +204,7 @@ mod tests {
 
     #[test]
     fn agree_with_the_integer_spans() {
-        let (mut tinies, mut full) = (0, 0);
+        let mut full = 0;
         for n in 0..20_000_u32 {
             let rect = Rect { x0: 3, y0: 2, x1: 3 + 12 + (n % 60).cast_signed(), y1: 40 };
             let scale = [64, 700, 1500, 4096, 12_000, 16_000_000][n as usize % 6];
@@ -319,14 +230,8 @@ mod tests {
             let all = bounds == rect && covers_all(t, f64::from(sign), &rect);
             assert_eq!(all, expected.len() == rect.area(), "{t:?}");
             full += usize::from(all);
-            if !expected.is_empty() && is_tiny(&t, &bounds) {
-                let mut tiny = Vec::new();
-                assert_eq!(tiny_runs(t, sign, &rect, &bounds, &mut tiny), expected.len());
-                assert_eq!(tiny, runs);
-                tinies += 1;
-            }
         }
-        assert!(tinies > 1000 && full > 100, "{tinies} {full}");
+        assert!(full > 100, "{full}");
     }
     /// The lines of edges that are flat or nearly so cross rows far outside of any image.
     #[test]

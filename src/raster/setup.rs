@@ -9,6 +9,7 @@ use crate::scene::{Mesh, Scene, Shading};
 use crate::spare::{Spare, bytes_of};
 use glam::DVec3;
 use rayon::prelude::*;
+use std::hint::black_box;
 use std::ops::Range;
 
 /// A triangle that needed no clipping.
@@ -24,13 +25,19 @@ pub struct Triangle {
 impl Triangle {
     /// The corners in sub-pixels.
     pub fn points(&self) -> [(i32, i32); 3] {
-        self.vertices.map(|v| (v.x, v.y))
+        points_of(&self.vertices)
     }
 
     /// Which way round the corners go: 1 clockwise on the screen, -1 counter-clockwise.
     pub fn sign(&self) -> i32 {
         if doubled_area(&self.points()) < 0 { -1 } else { 1 }
     }
+}
+
+/// Written out, since `map` is called rather than compiled into its caller.
+#[inline]
+fn points_of([a, b, c]: &[ScreenVertex; 3]) -> [(i32, i32); 3] {
+    [(a.x, a.y), (b.x, b.y), (c.x, c.y)]
 }
 
 /// The pixels of `rect` whose centres can be in the triangle by its bounding box, in rows that have their top in
@@ -239,6 +246,16 @@ impl Chunk {
         }
     }
 
+    /// Fetches some triangles, so that misses of the cache overlap.
+    #[inline]
+    pub fn touch(&self, entries: &[u32]) {
+        let triangles = entries.iter().filter(|&&entry| entry & POLYGON_BIT == 0);
+        black_box(triangles.fold(0, |seen, &entry| {
+            let triangle = &self.triangles[entry as usize];
+            seen ^ triangle.face ^ triangle.vertices[2].x.cast_unsigned()
+        }));
+    }
+
     /// The primitive of this number.
     pub fn primitive(&self, entry: u32) -> Primitive<'_> {
         match entry & POLYGON_BIT {
@@ -354,7 +371,8 @@ impl Job<'_> {
             let faces = first..(first + GATHERED).min(self.faces.end);
             gathered.clear();
             let screen = self.screen.as_flattened();
-            let corners = |face: &[u32; 3]| face.map(|v| screen[v as usize]);
+            let corners =
+                |&[a, b, c]: &[u32; 3]| [screen[a as usize], screen[b as usize], screen[c as usize]];
             gathered.extend(self.mesh.faces()[faces.clone()].iter().map(corners));
             for (face, vertices) in faces.zip(&*gathered) {
                 touched.extend(self.face(face, vertices, projector, tiling, triangles, &mut chunk));
@@ -378,7 +396,7 @@ impl Job<'_> {
         triangles: &mut Vec<Triangle>,
         chunk: &mut Chunk,
     ) -> Option<(u32, TileRange)> {
-        let [a, b, c] = vertices.map(|v| v.z);
+        let [a, b, c] = [vertices[0].z, vertices[1].z, vertices[2].z];
         let (lo, hi) = (lesser(lesser(a, b), c), -lesser(lesser(-a, -b), -c));
         chunk.depth_range = (lesser(chunk.depth_range.0, lo), -lesser(-chunk.depth_range.1, -hi));
         if vertices.iter().any(ScreenVertex::is_outside) {
@@ -388,7 +406,7 @@ impl Job<'_> {
             chunk.polygons.push(polygon);
             return Some(((chunk.polygons.len() - 1) as u32 | POLYGON_BIT, tiles));
         }
-        let points = vertices.map(|v| (v.x, v.y));
+        let points = points_of(vertices);
         let tiles = tiling.touched(points.into_iter())?;
         self.is_seen(doubled_area(&points)).then_some(())?;
         let light = match self.mesh.material().shading {

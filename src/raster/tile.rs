@@ -3,9 +3,10 @@
 
 use super::Raster;
 use super::cover::{Rect, spans};
-use super::interpolate::{FEW, LANES, Pixels, Plane, Ray, Surface};
+use super::interpolate::{LANES, Plane, Ray, Surface};
 use super::occlusion::Opaque;
-use super::runs::{Run, covers_all, is_tiny, tiny_runs, triangle_runs};
+use super::pixels::{FEW, Pixels, Where};
+use super::runs::{Run, covers_all, triangle_runs};
 use super::setup::{Chunk, Primitive, pixel_bounds};
 use super::shade::{Paint, Shade};
 use super::visit::{Order, Visits};
@@ -18,13 +19,11 @@ pub struct Cover<'a, 'r> {
     pub primitive: u32,
     /// How many of the tile's primitives have been looked at, this one included.
     pub visited: usize,
-    /// Where it is, row by row from the top.
-    pub runs: &'a [Run],
-    /// The number of pixels in them.
+    /// Where it is.
+    pub at: Where<'a>,
+    /// The number of its pixels.
     pub pixels: usize,
-    /// The indices of all pixels in the tile, run after run, if they are few; empty otherwise.
-    pub places: &'a [u32],
-    /// The depth of every pixel, run after run; empty if it is constant. There are [`LANES`] more numbers than
+    /// The depth of every pixel, in their order; empty if it is constant. There are [`LANES`] more numbers than
     /// pixels, finite ones.
     pub depth: &'a [f32],
     /// The depth everywhere, if it is constant.
@@ -38,7 +37,7 @@ pub struct Cover<'a, 'r> {
 impl Cover<'_, '_> {
     /// Whether the pixels are listed one by one.
     pub fn is_small(&self) -> bool {
-        self.pixels <= FEW
+        matches!(self.at, Where::Few(_))
     }
 }
 
@@ -78,6 +77,7 @@ pub struct Tile {
     /// The runs that `hide` and `cut_out` leave.
     kept: Vec<Run>,
     depth: Vec<f32>,
+    /// The pixels of a small primitive, which has no runs.
     few: Pixels,
     /// The runs of all pixels.
     full_runs: Vec<Run>,
@@ -112,6 +112,7 @@ impl Tile {
 
     fn set_rect(&mut self, rect: Rect) {
         self.rect = rect;
+        self.few.begin(rect);
         self.full_runs.clear();
         #[expect(clippy::cast_possible_truncation, reason = "pixels of a tile")]
         for y in rect.y0..rect.y1 {
@@ -205,11 +206,9 @@ impl Tile {
         sink: &mut K,
     ) -> bool {
         let constant_depth = surface.constant_depth();
-        self.list_places(pixels);
         if constant_depth.is_none() {
-            self.depths(surface, pixels);
+            self.depths(surface);
         }
-        let all = pixels;
         if self.opaque.is_any() && self.opaque.may_hide(surface.farthest()) {
             pixels = self.hide(constant_depth);
         }
@@ -221,15 +220,11 @@ impl Tile {
         if pixels == 0 {
             return true;
         }
-        if pixels != all {
-            self.list_places(pixels);
-        }
         sink.take(&Cover {
             primitive,
             visited: self.visited,
-            runs: &self.runs,
+            at: if self.few.is_empty() { Where::Many(&self.runs) } else { Where::Few(&self.few) },
             pixels,
-            places: self.few.places(),
             depth: if constant_depth.is_some() { &[] } else { &self.depth[..pixels + LANES] },
             constant_depth,
             surface,
@@ -237,13 +232,14 @@ impl Tile {
         })
     }
 
-    /// Finds the primitive's runs; the number of its pixels.
+    /// Finds the primitive's pixels, or runs of them; their number.
     #[inline(always)]
     #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
     fn cover(&mut self, primitive: Primitive<'_>) -> usize {
-        let (rect, runs) = (self.rect, &mut self.runs);
+        let (rect, runs, few) = (self.rect, &mut self.runs, &mut self.few);
         runs.clear();
-        match primitive {
+        few.clear();
+        let pixels = match primitive {
             Primitive::Triangle(triangle) => {
                 let points = triangle.points();
                 let bounds = pixel_bounds(&points, &rect);
@@ -251,8 +247,8 @@ impl Tile {
                     return 0;
                 }
                 let sign = triangle.sign();
-                if is_tiny(&points, &bounds) {
-                    return tiny_runs(points, sign, &rect, &bounds, runs);
+                if few.list_triangle(points, sign, &bounds) {
+                    return few.places().len();
                 }
                 let sign = f64::from(sign);
                 if bounds == rect && covers_all(points, sign, &rect) {
@@ -275,51 +271,47 @@ impl Tile {
                 });
                 pixels
             }
-        }
-    }
-
-    /// The runs' pixels one by one, if they are few.
-    #[inline(always)]
-    #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
-    fn list_places(&mut self, pixels: usize) {
-        self.few.clear();
+        };
         if pixels <= FEW {
-            self.few.list(&self.runs);
+            few.list(runs);
         }
+        pixels
     }
 
-    /// The depths of all runs.
+    /// The depths of all pixels.
     #[inline(always)]
     #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
-    fn depths(&mut self, surface: &Surface<'_>, pixels: usize) {
+    fn depths(&mut self, surface: &Surface<'_>) {
+        let Self { few, runs, depth, .. } = self;
         match surface {
-            Surface::Plane(plane) if pixels <= FEW => plane.depths(&self.runs, &mut self.depth),
-            Surface::Plane(plane) => plane.depths_of_many(&self.runs, &mut self.depth),
+            Surface::Plane(plane) if !few.is_empty() => plane.depths_at(few, depth),
+            Surface::Plane(plane) => plane.depths_of_many(runs, depth),
             Surface::Ray(_) => {
-                let pixels =
-                    self.runs.iter().flat_map(|run| (0..run.len.cast_signed()).map(|i| (run.x + i, run.y)));
-                for (depth, (x, y)) in self.depth.iter_mut().zip(pixels) {
-                    *depth = surface.at(x, y).depth;
-                }
+                let at = if few.is_empty() { Where::Many(runs) } else { Where::Few(few) };
+                let mut next = depth.iter_mut();
+                at.for_each_position(|x, y| {
+                    if let Some(depth) = next.next() {
+                        *depth = surface.at(x, y).depth;
+                    }
+                });
             }
         }
     }
 
     /// Leaves out the pixels behind opaque surfaces.
     fn hide(&mut self, constant_depth: Option<f32>) -> usize {
-        let (opaque, occluded) = (&self.opaque, &mut self.occluded.fragments);
-        retain(&mut self.runs, &mut self.kept, &mut self.depth, constant_depth, |i, _, _, depth| {
+        let Self { opaque, occluded, few, runs, kept, depth, .. } = self;
+        retain(few, runs, kept, depth, constant_depth, |i, _, _, depth| {
             let visible = !opaque.hides(i, depth);
-            *occluded += u64::from(!visible);
+            occluded.fragments += u64::from(!visible);
             visible
         })
     }
 
     /// Leaves out the pixels that a mask discards.
     fn cut_out(&mut self, surface: &Surface<'_>, shade: &Shade, constant_depth: Option<f32>) -> usize {
-        retain(&mut self.runs, &mut self.kept, &mut self.depth, constant_depth, |_, x, y, _| {
-            shade.passes(&surface.at(x, y))
-        })
+        let Self { few, runs, kept, depth, .. } = self;
+        retain(few, runs, kept, depth, constant_depth, |_, x, y, _| shade.passes(&surface.at(x, y)))
     }
 }
 
@@ -369,12 +361,16 @@ fn hand_over_arranged<'r, K: Sink<'r>>(
 
 /// Keeps the pixels that `keep(index, x, y, depth)` wants; their number.
 fn retain(
+    few: &mut Pixels,
     runs: &mut Vec<Run>,
     kept: &mut Vec<Run>,
     depth: &mut [f32],
     constant_depth: Option<f32>,
     mut keep: impl FnMut(usize, i32, i32, f32) -> bool,
 ) -> usize {
+    if !few.is_empty() {
+        return few.retain(depth, constant_depth, keep);
+    }
     kept.clear();
     let (mut from, mut to) = (0, 0);
     for run in runs.iter() {
@@ -417,6 +413,9 @@ fn primitive_spans(primitive: Primitive<'_>, rect: &Rect, span: impl FnMut(i32, 
     }
 }
 
+/// Primitives that are fetched before the first is used.
+const TOUCHED: usize = 64;
+
 /// Visits the primitives of a tile in submission order until `visit` says no; false when stopped on the way.
 #[inline(always)]
 #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
@@ -429,8 +428,9 @@ fn for_each_primitive<'a>(
 ) -> bool {
     let tile = row * raster.columns() + column;
     for chunk in chunks {
-        for (i, primitive) in chunk.in_tile(tile).enumerate() {
-            if (i % 64 == 0 && stop()) || !visit(chunk, primitive) {
+        for entries in chunk.entries_in(tile).chunks(TOUCHED) {
+            chunk.touch(entries);
+            if stop() || !entries.iter().all(|&entry| visit(chunk, chunk.primitive(entry))) {
                 return false;
             }
         }

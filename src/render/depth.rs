@@ -49,11 +49,11 @@ struct TileDepth {
 
 impl<'r> Sink<'r> for TileDepth {
     fn take(&mut self, cover: &Cover<'_, 'r>) -> bool {
-        for (i, pixel) in cover.runs.iter().flat_map(|run| run.pixels()).enumerate() {
-            let depth = cover.constant_depth.unwrap_or_else(|| cover.depth[i]);
+        cover.at.for_each(|n, pixel| {
+            let depth = cover.constant_depth.unwrap_or_else(|| cover.depth[n]);
             self.first_depth[pixel] = self.first_depth[pixel].min(depth);
             self.fragment_count[pixel] += 1;
-        }
+        });
         true
     }
 }

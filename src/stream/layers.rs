@@ -4,7 +4,7 @@
 //! capture agree to the bit.
 
 use super::{Stopwatch, flat_color, reset, shade};
-use crate::raster::{Cover, Opaque, Premultiplied, Rect, Run, Sink};
+use crate::raster::{Cover, Opaque, Premultiplied, Rect, Run, Sink, Where};
 use crate::technique::FinishedPixels;
 use multiversion::multiversion;
 
@@ -74,25 +74,25 @@ impl TileOver {
     #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
     fn put_behind(&mut self, cover: &Cover<'_, '_>) {
         if self.covered {
-            count(cover.runs, &mut self.counts);
+            count(cover, &mut self.counts);
             self.hidden += cover.pixels as u64;
             return;
         }
-        if let (Some(color), false) = (flat_color(cover), cover.is_small()) {
-            over_flat(cover.runs, color, &mut self.planes, &mut self.counts);
+        if let (Some(color), Where::Many(runs)) = (flat_color(cover), cover.at) {
+            over_flat(runs, color, &mut self.planes, &mut self.counts);
             self.covered = self.skip && color[3] == 1.0 && self.nothing_shows();
             return;
         }
-        count(cover.runs, &mut self.counts);
+        count(cover, &mut self.counts);
         shade(cover, &mut self.colors);
         let [planes @ .., transmittance] = &mut self.planes;
-        for (i, color) in cover.runs.iter().flat_map(|run| run.pixels()).zip(&self.colors) {
-            let t = &mut transmittance[i];
+        cover.at.for_each(|n, i| {
+            let (color, t) = (&self.colors[n], &mut transmittance[i]);
             for (plane, &channel) in planes.iter_mut().zip(color) {
                 plane[i] += *t * f64::from(channel);
             }
             *t *= 1.0 - f64::from(color[3]);
-        }
+        });
     }
 
     /// Whether every pixel is covered.
@@ -122,10 +122,8 @@ fn put_over(
     share.copy_from_slice(transmittance);
 }
 
-fn count(runs: &[Run], counts: &mut [u32]) {
-    for pixel in runs.iter().flat_map(|run| run.pixels()) {
-        counts[pixel] += 1;
-    }
+fn count(cover: &Cover<'_, '_>, counts: &mut [u32]) {
+    cover.at.for_each(|_, pixel| counts[pixel] += 1);
 }
 
 #[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
@@ -203,16 +201,18 @@ impl TileBlend {
     #[inline(always)]
     #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
     fn blend_in(&mut self, cover: &Cover<'_, '_>) {
-        if let (Some(color), false) = (flat_color(cover), cover.is_small()) {
+        if let (Some(color), Where::Many(runs)) = (flat_color(cover), cover.at) {
             let Self { target, transmittance, counts, .. } = self;
-            return blend_flat(cover.runs, color, target, transmittance, counts);
+            return blend_flat(runs, color, target, transmittance, counts);
         }
-        count(cover.runs, &mut self.counts);
+        count(cover, &mut self.counts);
         shade(cover, &mut self.colors);
-        for (i, &[r, g, b, alpha]) in cover.runs.iter().flat_map(|run| run.pixels()).zip(&self.colors) {
-            self.target[i] = blended(self.target[i], [r, g, b, 0.0], 1.0 - alpha);
-            self.transmittance[i] *= 1.0 - f64::from(alpha);
-        }
+        let Self { target, transmittance, colors, .. } = self;
+        cover.at.for_each(|n, i| {
+            let [r, g, b, alpha] = colors[n];
+            target[i] = blended(target[i], [r, g, b, 0.0], 1.0 - alpha);
+            transmittance[i] *= 1.0 - f64::from(alpha);
+        });
     }
 }
 

@@ -64,14 +64,11 @@ fn flat_color(cover: &Cover<'_, '_>) -> Option<Premultiplied> {
     }
 }
 
-/// The colours of all pixels of a primitive, run after run.
+/// The colours of all pixels of a primitive, in their order.
 fn shade(cover: &Cover<'_, '_>, colors: &mut Vec<Premultiplied>) {
     colors.clear();
     if let Some(color) = flat_color(cover) {
         return colors.resize(cover.pixels, color);
     }
-    for run in cover.runs {
-        let pixels = (0..run.len.cast_signed()).map(|i| (run.x + i, run.y));
-        colors.extend(pixels.map(|(x, y)| cover.paint.at(&cover.surface.at(x, y))));
-    }
+    cover.at.for_each_position(|x, y| colors.push(cover.paint.at(&cover.surface.at(x, y))));
 }

@@ -13,13 +13,16 @@ mod rows;
 
 use super::{Stopwatch, flat_color, reset, shade};
 use crate::continuum::sums::{Blended, FAINT, SumsOf};
-use crate::raster::{Cover, Opaque, Premultiplied, Rect, Sink};
+use crate::raster::{Cover, Opaque, Premultiplied, Rect, Run, Sink, Where};
 use crate::resolve::nanos_since;
 use crate::technique::FinishedPixels;
 use crate::weight::Weighting;
 pub use cells::Cells;
 use deferred::Deferred;
-use kernels::{Places, add_constant, add_few, add_flat, add_shaded, attenuate, blend_few, blend_flat};
+use kernels::{
+    Places, add_constant, add_constant_to_few, add_few, add_flat, add_weighted, attenuate, blend_few,
+    blend_flat,
+};
 use pending::Pending;
 use std::ops::Range;
 use std::time::Instant;
@@ -40,6 +43,8 @@ pub struct TileSums<'a> {
     /// The colours of the primitive at hand, if it has several.
     colors: Vec<Premultiplied>,
     alpha: Vec<f32>,
+    /// Its alpha, if it has but one.
+    same_alpha: Same,
     depth: Vec<f32>,
     /// The weights of its pixels.
     weight: Vec<f32>,
@@ -220,9 +225,9 @@ impl<'r> Sink<'r> for TileSums<'_> {
     #[inline(always)]
     #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
     fn take(&mut self, cover: &Cover<'_, 'r>) -> bool {
-        match flat_color(cover) {
-            Some(color) if !cover.is_small() && self.is_constant(cover) => self.keep(cover, color),
-            flat => {
+        match (flat_color(cover), cover.at) {
+            (Some(color), Where::Many(runs)) if self.is_constant(cover) => self.keep(cover, runs, color),
+            (flat, _) => {
                 self.flush_pending();
                 self.keep_sums(Kept::Pixels);
                 let fused = self.take_first(cover);
@@ -243,9 +248,9 @@ impl TileSums<'_> {
     }
 
     /// Keeps a primitive that is the same everywhere for later.
-    fn keep(&mut self, cover: &Cover<'_, '_>, color: Premultiplied) {
+    fn keep(&mut self, cover: &Cover<'_, '_>, runs: &[Run], color: Premultiplied) {
         self.flush_deferred();
-        self.pending.push(&self.rect, cover, color);
+        self.pending.push(&self.rect, cover, runs, color);
         if self.pending.is_full() {
             self.flush_pending();
         }
@@ -276,13 +281,12 @@ impl TileSums<'_> {
             return false;
         }
         let start = stopwatch.start();
-        weigh_flat(weighting, cover, color[3], &mut self.alpha, &mut self.weight);
+        weigh_flat(weighting, cover, color[3], &mut self.same_alpha, &mut self.weight);
         let Sums { weighted, transmittance, counts, .. } = &mut self.sums;
         let places = Places { transmittance, counts, sums: &mut weighted[0] };
-        if cover.is_small() {
-            blend_few(cover.places, &self.weight, color, places);
-        } else {
-            blend_flat(cover.runs, &self.weight, color, places);
+        match cover.at {
+            Where::Few(pixels) => blend_few(pixels.places(), &self.weight, color, places),
+            Where::Many(runs) => blend_flat(runs, &self.weight, color, places),
         }
         stopwatch.stop(start);
         self.cover_if_faint(cover, color[3].into());
@@ -298,25 +302,28 @@ impl TileSums<'_> {
             Some([.., alpha]) => self.attenuate_flat(cover, alpha),
             None => self.attenuate_shaded(cover),
         }
-        let Self { weights, sums, colors, alpha, weight: numbers, depth, .. } = self;
+        let Self { weights, sums, colors, alpha, same_alpha, weight: numbers, depth, .. } = self;
         let left = weights.iter_mut().zip(&mut sums.weighted).skip(usize::from(fused));
         for (Weight { weighting, stopwatch, .. }, sums) in left.filter(|(weight, _)| !weight.is_own()) {
             let start = stopwatch.start();
             match (flat, *weighting, cover.constant_depth) {
                 (Some(color), Some(weighting), None) => {
-                    weigh_flat(weighting, cover, color[3], alpha, numbers);
-                    if cover.is_small() {
-                        add_few(cover.places, numbers, color, sums);
-                    } else {
-                        add_flat(cover.runs, numbers, color, sums);
+                    weigh_flat(weighting, cover, color[3], same_alpha, numbers);
+                    match cover.at {
+                        Where::Few(pixels) => add_few(pixels.places(), numbers, color, sums),
+                        Where::Many(runs) => add_flat(runs, numbers, color, sums),
                     }
                 }
                 (Some(color), weighting, z) => {
-                    add_constant(cover.runs, constant_term(weighting, z, color, numbers), sums);
+                    let added = constant_term(weighting, z, color, numbers);
+                    match cover.at {
+                        Where::Few(pixels) => add_constant_to_few(pixels.places(), added, sums),
+                        Where::Many(runs) => add_constant(runs, added, sums),
+                    }
                 }
                 (None, weighting, _) => {
                     weigh_shaded(weighting, cover, alpha, depth, numbers);
-                    add_shaded(cover.runs, numbers, colors, sums);
+                    cover.at.for_each(|n, i| add_weighted(numbers[n], colors[n], &mut sums[i]));
                 }
             }
             stopwatch.stop(start);
@@ -327,7 +334,7 @@ impl TileSums<'_> {
     fn cover_if_faint(&mut self, cover: &Cover<'_, '_>, alpha: f64) {
         if alpha <= FAINT {
             self.sums.faint = true;
-            kernels::cover_faintly(cover.runs, alpha, &mut self.sums.coverage);
+            kernels::cover_faintly(cover.at, alpha, &mut self.sums.coverage);
         }
     }
 
@@ -336,13 +343,12 @@ impl TileSums<'_> {
     fn attenuate_flat(&mut self, cover: &Cover<'_, '_>, alpha: f32) {
         let alpha = f64::from(alpha);
         let Sums { transmittance, counts, .. } = &mut self.sums;
-        if cover.is_small() {
-            for &pixel in cover.places {
-                transmittance[pixel as usize] *= 1.0 - alpha;
-                counts[pixel as usize] += 1;
-            }
-        } else {
-            attenuate(cover.runs, alpha, transmittance, counts);
+        match cover.at {
+            Where::Few(_) => cover.at.for_each(|_, i| {
+                transmittance[i] *= 1.0 - alpha;
+                counts[i] += 1;
+            }),
+            Where::Many(runs) => attenuate(runs, alpha, transmittance, counts),
         }
         self.cover_if_faint(cover, alpha);
     }
@@ -355,12 +361,13 @@ impl TileSums<'_> {
         self.alpha.extend(self.colors.iter().map(|color| color[3]));
         let Sums { transmittance, coverage, counts, faint, .. } = &mut self.sums;
         *faint = true;
-        for (i, &alpha) in cover.runs.iter().flat_map(|run| run.pixels()).zip(&self.alpha) {
-            let alpha = f64::from(alpha);
+        let alphas = &self.alpha;
+        cover.at.for_each(|n, i| {
+            let alpha = f64::from(alphas[n]);
             coverage[i] += (1.0 - coverage[i]) * if alpha <= FAINT { alpha } else { 0.0 };
             transmittance[i] *= 1.0 - alpha;
             counts[i] += 1;
-        }
+        });
     }
 }
 
@@ -386,12 +393,27 @@ fn weigh_flat(
     weighting: &Weighting,
     cover: &Cover<'_, '_>,
     alpha: f32,
-    alphas: &mut Vec<f32>,
+    alphas: &mut Same,
     weights: &mut Vec<f32>,
 ) {
     let len = cover.pixels.next_multiple_of(8);
-    refill(alphas, len, alpha);
-    weighting.evaluate_here(&cover.depth[..len], alphas, weights);
+    weighting.evaluate_here(&cover.depth[..len], alphas.times(alpha, len), weights);
+}
+
+/// One number many times; the next primitive often needs the same again.
+#[derive(Default)]
+struct Same(Vec<f32>);
+
+impl Same {
+    #[inline]
+    fn times(&mut self, number: f32, len: usize) -> &[f32] {
+        let Self(numbers) = self;
+        if numbers.len() < len || numbers[0].to_bits() != number.to_bits() {
+            let len = len.max(numbers.len());
+            refill(numbers, len, number);
+        }
+        &numbers[..len]
+    }
 }
 
 /// The weights of all pixels of a primitive whose colour varies.

@@ -335,7 +335,8 @@ impl Weighting {
         }
     }
 
-    /// [`Weighting::evaluate`] of a published weight for the caller's instruction set.
+    /// [`Weighting::evaluate`] of a published weight for the caller's instruction set, at the front of `weights`,
+    /// which grow to fit.
     ///
     /// # Panics
     /// If the weight is somebody's own.
@@ -344,8 +345,10 @@ impl Weighting {
     pub fn evaluate_here(&self, depth: &[f32], alpha: &[f32], weights: &mut Vec<f32>) {
         match &self.function {
             Function::Published(formula) => {
-                weights.resize(depth.len(), 0.0);
-                formula.weigh(&Fragments { seen: self.seen, depth, alpha }, weights);
+                if weights.len() < depth.len() {
+                    weights.resize(depth.len(), 0.0);
+                }
+                formula.weigh(&Fragments { seen: self.seen, depth, alpha }, &mut weights[..depth.len()]);
             }
             Function::Own(_) => panic!("a weight of somebody's own is evaluated for many fragments at once"),
         }

@@ -2,8 +2,8 @@
 //! cost of a call is shared by all of them. A pixel gets its fragments in the same order.
 
 use super::Weight;
-use super::kernels::{add_few, add_flat, add_shaded};
-use crate::raster::{Cover, Premultiplied, Run};
+use super::kernels::{add_few, add_flat, add_weighted};
+use crate::raster::{Cover, Premultiplied, Run, Where};
 use crate::resolve::nanos_since;
 use std::time::Instant;
 
@@ -63,20 +63,22 @@ impl Deferred {
 
     /// Keeps a primitive of one colour.
     pub fn push_flat(&mut self, cover: &Cover<'_, '_>, color: Premultiplied) {
-        let places = if cover.is_small() { cover.places } else { &[] };
-        let runs = if cover.is_small() { &[] } else { cover.runs };
-        self.push(cover, Some(color), places, runs);
+        self.push(cover, Some(color));
         self.alpha.resize(self.depth.len(), color[3]);
     }
 
     /// Keeps a primitive whose fragments have these colours.
     pub fn push_shaded(&mut self, cover: &Cover<'_, '_>, colors: &[Premultiplied]) {
-        self.push(cover, None, &[], cover.runs);
+        self.push(cover, None);
         self.alpha.extend(colors.iter().map(|color| color[3]));
         self.colors.extend_from_slice(colors);
     }
 
-    fn push(&mut self, cover: &Cover<'_, '_>, flat: Option<Premultiplied>, places: &[u32], runs: &[Run]) {
+    fn push(&mut self, cover: &Cover<'_, '_>, flat: Option<Premultiplied>) {
+        let (places, runs) = match cover.at {
+            Where::Few(pixels) => (pixels.places(), &[][..]),
+            Where::Many(runs) => (&[][..], runs),
+        };
         self.primitives.push(Primitive {
             first: self.depth.len(),
             flat,
@@ -115,7 +117,14 @@ impl Deferred {
             match primitive.flat {
                 Some(color) if runs.is_empty() => add_few(places, weights, color, sums),
                 Some(color) => add_flat(runs, weights, color, sums),
-                None => add_shaded(runs, weights, take(&mut colors, primitive.fragments), sums),
+                None => {
+                    let colors = take(&mut colors, primitive.fragments);
+                    let pixels = places.iter().map(|&place| place as usize);
+                    let pixels = pixels.chain(runs.iter().flat_map(|run| run.pixels()));
+                    for ((i, &weight), &color) in pixels.zip(weights).zip(colors) {
+                        add_weighted(weight, color, &mut sums[i]);
+                    }
+                }
             }
         }
     }

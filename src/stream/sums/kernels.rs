@@ -1,7 +1,7 @@
 //! What is done with the sums of many pixels at a time: plain loops over the pixels of a run, which a compiler makes
 //! vectors of, wherever the run begins and ends.
 
-use crate::raster::{Premultiplied, Run};
+use crate::raster::{Premultiplied, Run, Where};
 use multiversion::multiversion;
 
 /// The running sums of some pixels.
@@ -61,11 +61,8 @@ pub fn attenuate(runs: &[Run], alpha: f64, transmittance: &mut [f64], counts: &m
 }
 
 /// Adds to 1 - R what a faint primitive covers.
-#[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
-pub fn cover_faintly(runs: &[Run], alpha: f64, coverage: &mut [f64]) {
-    for run in runs {
-        coverage[run.pixels()].iter_mut().for_each(|c| *c += (1.0 - *c) * alpha);
-    }
+pub fn cover_faintly(at: Where<'_>, alpha: f64, coverage: &mut [f64]) {
+    at.for_each(|_, i| coverage[i] += (1.0 - coverage[i]) * alpha);
 }
 
 /// Adds the same to every pixel.
@@ -77,6 +74,14 @@ pub fn add_constant(runs: &[Run], added: [f32; 4], sums: &mut [[f32; 4]]) {
                 sum[channel] += added[channel];
             }
         }
+    }
+}
+
+/// The same for few pixels.
+pub fn add_constant_to_few(pixels: &[u32], added: [f32; 4], sums: &mut [[f32; 4]]) {
+    for &pixel in pixels {
+        let sum = &mut sums[pixel as usize];
+        *sum = std::array::from_fn(|channel| sum[channel] + added[channel]);
     }
 }
 
@@ -106,11 +111,10 @@ pub fn add_few(pixels: &[u32], weights: &[f32], color: Premultiplied, sums: &mut
     }
 }
 
-/// Adds the weights times the colours.
-pub fn add_shaded(runs: &[Run], weights: &[f32], colors: &[Premultiplied], sums: &mut [[f32; 4]]) {
-    for ((i, weight), color) in runs.iter().flat_map(|run| run.pixels()).zip(weights).zip(colors) {
-        for (sum, channel) in sums[i].iter_mut().zip(color) {
-            *sum += weight * channel;
-        }
+/// Adds a weight times a colour to one pixel.
+#[inline]
+pub fn add_weighted(weight: f32, color: Premultiplied, sum: &mut [f32; 4]) {
+    for (sum, channel) in sum.iter_mut().zip(color) {
+        *sum += weight * channel;
     }
 }

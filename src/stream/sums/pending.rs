@@ -6,7 +6,7 @@ use super::kernels::Places;
 use super::rows::{Stretch, add_row, blend_row, cover_row};
 use super::{Sums, Weight};
 use crate::continuum::sums::FAINT;
-use crate::raster::{Cover, Premultiplied, Rect};
+use crate::raster::{Cover, Premultiplied, Rect, Run};
 
 /// Stretches that are worth keeping, at 12 bytes each.
 const STRETCHES: usize = 1 << 13;
@@ -62,17 +62,17 @@ impl Pending {
         self.stretches >= STRETCHES
     }
 
-    /// Keeps a primitive of one colour, and one depth where weights look at it.
+    /// Keeps a primitive of one colour, and one depth where weights look at it, that consists of these runs.
     #[expect(clippy::cast_possible_truncation, reason = "far fewer primitives than 2^32 wait")]
     #[expect(clippy::cast_sign_loss, reason = "the run lies in the tile")]
-    pub fn push(&mut self, rect: &Rect, cover: &Cover<'_, '_>, color: Premultiplied) {
+    pub fn push(&mut self, rect: &Rect, cover: &Cover<'_, '_>, runs: &[Run], color: Premultiplied) {
         let layer = self.layers.pixels.len() as u32;
-        for run in cover.runs {
+        for run in runs {
             let from = run.x - rect.x0;
             let to = from + run.len.cast_signed();
             self.rows[(run.y - rect.y0) as usize].push(Stretch { from, to, layer });
         }
-        self.stretches += cover.runs.len();
+        self.stretches += runs.len();
         let Layers { colors, alpha, depth, left, pixels, faint } = &mut self.layers;
         let covers = f64::from(color[3]);
         colors.push(color);
