@@ -93,9 +93,8 @@ impl Raster<'_> {
             Primitive::Triangle(triangle) => {
                 let outline = Outline::Triangle(triangle.points());
                 let anchor = anchor(outline.points(), &image);
-                let (depth, weights) = of_triangle(triangle, anchor, self.is_perspective());
+                let (depth, weights) = of_triangle(&triangle, anchor, self.is_perspective());
                 let z = triangle.vertices.map(|v| v.z);
-                let paint = || Paint::new(mesh, triangle.face as usize, triangle.light);
                 Drawn {
                     primitive: chunk.first_primitive + triangle.face,
                     outline,
@@ -103,7 +102,7 @@ impl Raster<'_> {
                     depth,
                     weights,
                     range: (z[0].min(z[1]).min(z[2]), z[0].max(z[1]).max(z[2])),
-                    paint: triangle.flat.map_or_else(paint, Paint::Flat),
+                    paint: triangle.paint(mesh),
                 }
             }
             Primitive::Polygon(polygon) => {
@@ -147,8 +146,8 @@ fn anchor(points: &[(i32, i32)], image: &Rect) -> (i32, i32) {
 }
 
 /// The edge functions of the snapped corners, as `Plane` has them: they are whole numbers and exact.
-fn of_triangle(triangle: &Triangle, anchor: (i32, i32), perspective: bool) -> (Linear, [Linear; 3]) {
-    let v = &triangle.vertices;
+fn of_triangle(triangle: &Triangle<'_>, anchor: (i32, i32), perspective: bool) -> (Linear, [Linear; 3]) {
+    let v = triangle.vertices;
     let difference = |i: usize| (f64::from(v[i].x - v[0].x), f64::from(v[i].y - v[0].y));
     let (to_1, to_2) = (difference(1), difference(2));
     let area = to_1.0 * to_2.1 - to_2.0 * to_1.1;

@@ -4,6 +4,7 @@ mod arrivals;
 mod clip;
 mod cover;
 mod export;
+mod faces;
 mod interpolate;
 mod lists;
 mod network;
@@ -14,6 +15,7 @@ mod runs;
 mod setup;
 mod shade;
 mod tile;
+mod tiling;
 mod visit;
 
 pub use cover::Rect;
@@ -33,7 +35,8 @@ use crate::scene::Scene;
 use glam::DVec3;
 use project::Projector;
 use rayon::prelude::*;
-use setup::{Chunk, Shown, Tiling, set_up};
+use setup::{Chunk, Shown, set_up};
+use tiling::Tiling;
 
 /// A scene whose primitives are projected and binned, ready to be rasterised tile by tile.
 #[derive(Debug)]

@@ -330,7 +330,7 @@ mod tests {
             let is_tiny = bounds.width() <= 8 && bounds.height() <= 8;
             (tiny, small) = (tiny + u32::from(is_tiny), small + u32::from(!is_tiny));
         }
-        assert!(tiny > 1000 && small > 1000 && others > 1000, "{tiny} {small} {others}");
+        assert!(tiny > 1000 && small > 1000 && others > 500, "{tiny} {small} {others}");
     }
 
     #[test]
@@ -347,6 +347,6 @@ mod tests {
         let kept = pixels.retain(&mut depth, None, |_, x, y, z| z > 1.0 && (x + y) % 2 == 0);
         assert_eq!(kept, pixels.places().len());
         assert!(sorted(&pixels).iter().all(|(x, y)| (x + y) % 2 == 0) && kept == 29, "{kept}");
-        assert_eq!(&depth[..3], [2.0, 4.0, 6.0]);
+        assert_eq!(&depth[..3], [3.0, 5.0, 7.0]);
     }
 }

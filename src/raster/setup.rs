@@ -3,8 +3,10 @@
 
 use super::clip::clip;
 use super::cover::{Rect, centers, doubled_area};
+use super::faces::{BLOCK as BLOCK_FACES, Block, Found};
 use super::project::{BLOCK, Projector, ScreenVertex};
-use super::shade::{Premultiplied, flat, light};
+use super::shade::{Paint, Premultiplied, flat, light};
+use super::tiling::{TileRange, Tiling};
 use crate::scene::{Mesh, Scene, Shading};
 use crate::spare::{Spare, bytes_of};
 use glam::DVec3;
@@ -14,25 +16,44 @@ use std::ops::Range;
 
 /// A triangle that needed no clipping.
 #[derive(Debug, Clone, Copy)]
-pub struct Triangle {
+pub struct Triangle<'a> {
     pub face: u32,
-    pub light: f32,
-    pub vertices: [ScreenVertex; 3],
-    /// The colour, where there is but one: looked up here, where faces come in order.
+    pub vertices: &'a [ScreenVertex; 3],
+    /// Its colour, where there is but one: looked up here, where faces come in order.
     pub flat: Option<Premultiplied>,
+    /// How bright it is where there are several.
+    light: f32,
 }
 
-impl Triangle {
+impl Triangle<'_> {
     /// The corners in sub-pixels.
     pub fn points(&self) -> [(i32, i32); 3] {
-        points_of(&self.vertices)
+        points_of(self.vertices)
     }
 
     /// Which way round the corners go: 1 clockwise on the screen, -1 counter-clockwise.
     pub fn sign(&self) -> i32 {
         if doubled_area(&self.points()) < 0 { -1 } else { 1 }
     }
+
+    /// Its colours, if it is of this mesh.
+    #[inline]
+    pub fn paint(&self, mesh: &Mesh) -> Paint {
+        self.flat.map_or_else(|| Paint::new(mesh, self.face as usize, self.light), Paint::Flat)
+    }
 }
+
+/// A triangle as it is kept, in as few bytes as a line of the cache has.
+#[derive(Debug, Clone, Copy)]
+#[repr(align(64))]
+struct Kept {
+    vertices: [ScreenVertex; 3],
+    /// The colour; of triangles that have several, how bright they are, in the first place.
+    color: Premultiplied,
+}
+
+/// Marks faces that have several colours.
+const VARYING_BIT: u32 = 1 << 31;
 
 /// Written out, since `map` is called rather than compiled into its caller.
 #[inline]
@@ -61,7 +82,7 @@ pub struct Polygon {
 /// A primitive that survived setup.
 #[derive(Debug, Clone, Copy)]
 pub enum Primitive<'a> {
-    Triangle(&'a Triangle),
+    Triangle(Triangle<'a>),
     Polygon(&'a Polygon),
 }
 
@@ -69,7 +90,7 @@ impl Primitive<'_> {
     /// The view depths of the whole triangle's corners.
     fn corner_depths(&self) -> [f64; 3] {
         match self {
-            Self::Triangle(t) => t.vertices.map(|v| v.z),
+            Self::Triangle(t) => [t.vertices[0].z, t.vertices[1].z, t.vertices[2].z],
             Self::Polygon(p) => p.corners.map(|c| c.z),
         }
     }
@@ -88,97 +109,8 @@ impl Primitive<'_> {
     }
 }
 
-/// The image cut into square tiles.
-#[derive(Debug, Clone, Copy)]
-pub struct Tiling {
-    width: i32,
-    height: i32,
-    size: i32,
-    /// 1 / `size`: there are quicker ways to divide than to divide.
-    per_pixel: f64,
-}
-
-impl Tiling {
-    /// Tiles of `size` pixels for an image of the given size.
-    #[expect(clippy::cast_possible_wrap, reason = "both are at most MAX_SIZE")]
-    pub fn new(width: u32, height: u32, size: u32) -> Self {
-        Self {
-            width: width as i32,
-            height: height as i32,
-            size: size as i32,
-            per_pixel: f64::from(size).recip(),
-        }
-    }
-    /// Tiles per row.
-    #[expect(clippy::cast_sign_loss, reason = "never negative")]
-    pub fn columns(&self) -> usize {
-        ((self.width + self.size - 1) / self.size) as usize
-    }
-    /// Rows of tiles.
-    #[expect(clippy::cast_sign_loss, reason = "never negative")]
-    pub fn rows(&self) -> usize {
-        ((self.height + self.size - 1) / self.size) as usize
-    }
-    /// The pixels of a tile.
-    #[expect(
-        clippy::cast_possible_truncation,
-        clippy::cast_possible_wrap,
-        reason = "fewer tiles than pixels"
-    )]
-    pub fn rect(&self, column: usize, row: usize) -> Rect {
-        let (x0, y0) = (column as i32 * self.size, row as i32 * self.size);
-        let (x1, y1) = ((x0 + self.size).min(self.width), (y0 + self.size).min(self.height));
-        Rect { x0, y0, x1, y1 }
-    }
-
-    /// The column or row of tiles that a pixel of the image is in. Half a pixel off, no rounding matters.
-    #[expect(clippy::cast_sign_loss, clippy::cast_possible_truncation, reason = "within the image")]
-    fn tile_of(&self, pixel: i32) -> u16 {
-        ((f64::from(pixel) + 0.5) * self.per_pixel) as u16
-    }
-
-    /// The tiles that the sub-pixel bounds touch, as ranges of columns and rows; `None` when the bounds hold
-    /// no pixel centre of the image.
-    fn touched(&self, points: impl Iterator<Item = (i32, i32)>) -> Option<TileRange> {
-        let (mut lo, mut hi) = ((i32::MAX, i32::MAX), (i32::MIN, i32::MIN));
-        for (x, y) in points {
-            lo = (lo.0.min(x), lo.1.min(y));
-            hi = (hi.0.max(x), hi.1.max(y));
-        }
-        let axis = |lo, hi, limit: i32| {
-            let (first, last) = centers(lo, hi);
-            let (first, last) = (first.max(0), last.min(limit));
-            (first < last).then(|| (self.tile_of(first), self.tile_of(last - 1)))
-        };
-        let (x0, x1) = axis(lo.0, hi.0, self.width)?;
-        let (y0, y1) = axis(lo.1, hi.1, self.height)?;
-        Some(TileRange { x0, y0, x1, y1 })
-    }
-}
-
-/// Columns and rows of tiles, all inclusive.
-#[derive(Debug, Clone, Copy)]
-struct TileRange {
-    x0: u16,
-    y0: u16,
-    x1: u16,
-    y1: u16,
-}
-
-impl TileRange {
-    fn tiles(self, columns: usize) -> impl Iterator<Item = usize> {
-        let row = move |y: u16| {
-            let first = usize::from(y) * columns;
-            first + usize::from(self.x0)..=first + usize::from(self.x1)
-        };
-        (self.y0..=self.y1).flat_map(row)
-    }
-}
-
 /// Faces that are set up together, and the unit in which bins keep submission order.
 const CHUNK_FACES: usize = 4096;
-/// Faces whose vertices are fetched before the first is used: misses of the cache then overlap.
-const GATHERED: usize = 64;
 /// Blocks of vertices below which a thread of its own is not worth it.
 const BLOCKS: usize = 64;
 /// Marks a bin entry as an index into the polygons.
@@ -197,33 +129,37 @@ pub struct Chunk {
     pub faces_camera: bool,
     /// The colours of its primitives.
     pub shown: Shown,
-    triangles: Vec<Triangle>,
+    triangles: Vec<Kept>,
+    /// Of every triangle its face, counted from the chunk's first, and whether its colour varies.
+    faces: Vec<u32>,
+    first_face: u32,
     polygons: Vec<Polygon>,
     /// Entries of tile `t` are `entries[starts[t]..starts[t + 1]]`.
     starts: Vec<u32>,
     entries: Vec<u32>,
 }
 
-/// The triangles, starts and entries of chunks that are no more.
-static SPARE: Spare<(Vec<Triangle>, Vec<u32>, Vec<u32>)> = Spare::new();
+/// The triangles, faces, starts and entries of chunks that are no more.
+static SPARE: Spare<(Vec<Kept>, [Vec<u32>; 3])> = Spare::new();
 
 impl Drop for Chunk {
     fn drop(&mut self) {
-        let take = std::mem::take::<Vec<u32>>;
-        let memory = (std::mem::take(&mut self.triangles), take(&mut self.starts), take(&mut self.entries));
-        let bytes = bytes_of(&memory.0) + bytes_of(&memory.1) + bytes_of(&memory.2);
-        SPARE.give_back(memory, bytes);
+        let numbers = [&mut self.faces, &mut self.starts, &mut self.entries].map(std::mem::take);
+        let triangles = std::mem::take(&mut self.triangles);
+        let bytes = bytes_of(&triangles) + numbers.iter().map(bytes_of).sum::<usize>();
+        SPARE.give_back((triangles, numbers), bytes);
     }
 }
 
 /// Working memory of a thread that sets up chunks.
 #[derive(Default)]
 struct Scratch {
-    /// The corners of faces at hand.
-    gathered: Vec<[ScreenVertex; 3]>,
-    /// The triangles as the faces come.
-    triangles: Vec<Triangle>,
-    /// The entries as they come, with the tiles that they touch.
+    /// The faces at hand.
+    block: Box<Block>,
+    /// The corners of all faces.
+    corners: Vec<[ScreenVertex; 3]>,
+    /// The entries as they come, with the tiles that they touch; those of triangles are faces, counted from the
+    /// chunk's first, and then places.
     touched: Vec<(u32, TileRange)>,
     /// Places in another order, tile by tile.
     cursors: Vec<u32>,
@@ -251,17 +187,26 @@ impl Chunk {
     pub fn touch(&self, entries: &[u32]) {
         let triangles = entries.iter().filter(|&&entry| entry & POLYGON_BIT == 0);
         black_box(triangles.fold(0, |seen, &entry| {
-            let triangle = &self.triangles[entry as usize];
-            seen ^ triangle.face ^ triangle.vertices[2].x.cast_unsigned()
+            let place = entry as usize;
+            seen ^ self.faces[place] ^ self.triangles[place].vertices[0].x.cast_unsigned()
         }));
     }
 
     /// The primitive of this number.
     pub fn primitive(&self, entry: u32) -> Primitive<'_> {
         match entry & POLYGON_BIT {
-            0 => Primitive::Triangle(&self.triangles[entry as usize]),
+            0 => Primitive::Triangle(self.triangle(entry as usize)),
             _ => Primitive::Polygon(&self.polygons[(entry & !POLYGON_BIT) as usize]),
         }
+    }
+}
+
+impl Chunk {
+    #[inline]
+    fn triangle(&self, place: usize) -> Triangle<'_> {
+        let (Kept { vertices, color }, face) = (&self.triangles[place], self.faces[place]);
+        let flat = (face & VARYING_BIT == 0).then_some(*color);
+        Triangle { face: self.first_face + (face & !VARYING_BIT), vertices, flat, light: color[0] }
     }
 }
 
@@ -350,8 +295,9 @@ pub fn set_up(
 }
 
 impl Job<'_> {
+    #[expect(clippy::cast_possible_truncation, reason = "ids fit by Scene::new")]
     fn run(&self, projector: &Projector, tiling: &Tiling) -> Chunk {
-        let (triangles, starts, entries) = SPARE.take(|_| true).unwrap_or_default();
+        let (triangles, [faces, starts, entries]) = SPARE.take(|_| true).unwrap_or_default();
         let mut chunk = Chunk {
             mesh: self.index,
             first_primitive: self.first_primitive,
@@ -359,67 +305,76 @@ impl Job<'_> {
             faces_camera: true,
             shown: Shown::Nothing,
             triangles,
+            faces,
+            first_face: self.faces.start as u32,
             polygons: Vec::new(),
             starts,
             entries,
         };
         let mut scratch = SPARE_SCRATCH.take(|_| true).unwrap_or_default();
-        let Scratch { gathered, triangles, touched, .. } = &mut scratch;
-        triangles.clear();
-        touched.clear();
-        for first in self.faces.clone().step_by(GATHERED) {
-            let faces = first..(first + GATHERED).min(self.faces.end);
-            gathered.clear();
-            let screen = self.screen.as_flattened();
-            let corners =
-                |&[a, b, c]: &[u32; 3]| [screen[a as usize], screen[b as usize], screen[c as usize]];
-            gathered.extend(self.mesh.faces()[faces.clone()].iter().map(corners));
-            for (face, vertices) in faces.zip(&*gathered) {
-                touched.extend(self.face(face, vertices, projector, tiling, triangles, &mut chunk));
-            }
-        }
-        chunk.bin(&mut scratch, tiling);
-        let Scratch { triangles, touched, cursors, order, .. } = &scratch;
-        let bytes = bytes_of(triangles) + bytes_of(touched) + bytes_of(cursors) + bytes_of(order);
+        self.look_at_faces(projector, tiling, &mut scratch, &mut chunk);
+        chunk.bin(self, projector, tiling, &mut scratch);
+        let Scratch { corners, touched, cursors, order, .. } = &scratch;
+        let bytes = bytes_of(corners) + bytes_of(touched) + bytes_of(cursors) + bytes_of(order);
         SPARE_SCRATCH.give_back(scratch, bytes);
         chunk
     }
 
-    /// Sets up one face; its entry and the tiles it touches, or nothing if it covers no pixel centre for sure.
-    #[expect(clippy::cast_possible_truncation, reason = "a chunk has few faces; ids fit by Scene::new")]
-    fn face(
+    /// Finds the faces that can be seen and the tiles that they touch.
+    fn look_at_faces(
         &self,
-        face: usize,
-        vertices: &[ScreenVertex; 3],
         projector: &Projector,
         tiling: &Tiling,
-        triangles: &mut Vec<Triangle>,
+        scratch: &mut Scratch,
+        chunk: &mut Chunk,
+    ) {
+        let Scratch { block, corners, touched, .. } = scratch;
+        corners.clear();
+        touched.clear();
+        let (screen, faces) = (self.screen.as_flattened(), &self.mesh.faces()[self.faces.clone()]);
+        let mut numbers = 0..;
+        for faces in faces.chunks(BLOCK_FACES) {
+            block.gather(screen, faces, corners);
+            let (lo, hi) = block.look(tiling, self.mesh.material().double_sided);
+            chunk.depth_range = (chunk.depth_range.0.min(lo), chunk.depth_range.1.max(hi));
+            for (found, face) in block.found().zip(&mut numbers) {
+                match found {
+                    Found::Nothing => {}
+                    Found::Triangle { tiles, faces_camera } => {
+                        chunk.faces_camera &= faces_camera;
+                        touched.push((face, tiles));
+                    }
+                    Found::Outside => touched.extend(self.polygon(face, projector, tiling, chunk)),
+                }
+            }
+        }
+    }
+
+    /// Clips a face, counted from the chunk's first, and keeps what is left of it; its entry and the tiles it touches.
+    #[expect(clippy::cast_possible_truncation, reason = "a chunk has few faces")]
+    fn polygon(
+        &self,
+        face: u32,
+        projector: &Projector,
+        tiling: &Tiling,
         chunk: &mut Chunk,
     ) -> Option<(u32, TileRange)> {
-        let [a, b, c] = [vertices[0].z, vertices[1].z, vertices[2].z];
-        let (lo, hi) = (lesser(lesser(a, b), c), -lesser(lesser(-a, -b), -c));
-        chunk.depth_range = (lesser(chunk.depth_range.0, lo), -lesser(-chunk.depth_range.1, -hi));
-        if vertices.iter().any(ScreenVertex::is_outside) {
-            let (polygon, tiles) = self.clipped(face, projector, tiling)?;
-            chunk.faces_camera &= polygon.corners.iter().all(|c| c.z == polygon.corners[0].z);
-            chunk.shown = chunk.shown.and(flat(self.mesh, face, polygon.light));
-            chunk.polygons.push(polygon);
-            return Some(((chunk.polygons.len() - 1) as u32 | POLYGON_BIT, tiles));
-        }
-        let points = points_of(vertices);
-        let tiles = tiling.touched(points.into_iter())?;
-        self.is_seen(doubled_area(&points)).then_some(())?;
-        let light = match self.mesh.material().shading {
+        let face = self.faces.start + face as usize;
+        let (polygon, tiles) = self.clipped(face, projector, tiling)?;
+        chunk.faces_camera &= polygon.corners.iter().all(|c| c.z == polygon.corners[0].z);
+        chunk.shown = chunk.shown.and(flat(self.mesh, face, polygon.light));
+        chunk.polygons.push(polygon);
+        Some(((chunk.polygons.len() - 1) as u32 | POLYGON_BIT, tiles))
+    }
+
+    /// How bright a face is.
+    fn light(&self, face: usize, projector: &Projector) -> f32 {
+        match self.mesh.material().shading {
             Shading::Unlit => 1.0,
             shading @ Shading::Lambert => {
                 light(shading, self.corners(face, projector), projector.is_perspective())
             }
-        };
-        let flat = flat(self.mesh, face, light);
-        chunk.faces_camera &= lo == hi;
-        chunk.shown = chunk.shown.and(flat);
-        triangles.push(Triangle { face: face as u32, light, vertices: *vertices, flat });
-        Some(((triangles.len() - 1) as u32, tiles))
+        }
     }
 
     #[expect(clippy::cast_possible_truncation, reason = "ids fit by Scene::new")]
@@ -450,8 +405,9 @@ impl Job<'_> {
 impl Chunk {
     /// Counting sort of the entries by tile. Triangles move to where the first tile they touch will look for
     /// them: in the order of the faces a tile's triangles would lie all over memory.
-    fn bin(&mut self, scratch: &mut Scratch, tiling: &Tiling) {
+    fn bin(&mut self, job: &Job<'_>, projector: &Projector, tiling: &Tiling, scratch: &mut Scratch) {
         self.triangles.clear();
+        self.faces.clear();
         self.starts.clear();
         self.entries.clear();
         if scratch.touched.is_empty() {
@@ -459,7 +415,8 @@ impl Chunk {
         }
         let columns = tiling.columns();
         let tiles = columns * tiling.rows();
-        self.take_triangles(scratch, columns, tiles);
+        place_triangles(scratch, columns, tiles);
+        self.take_triangles(job, projector, scratch);
         let Scratch { touched, cursors, .. } = scratch;
         self.starts.resize(tiles + 1, 0);
         for (_, range) in touched.iter() {
@@ -476,31 +433,41 @@ impl Chunk {
         }
     }
 
-    fn take_triangles(&mut self, scratch: &mut Scratch, columns: usize, tiles: usize) {
-        let Scratch { triangles, touched, cursors, order, .. } = scratch;
-        let first_tile = |range: &TileRange| usize::from(range.y0) * columns + usize::from(range.x0);
-        let is_triangle = |entry: u32| entry & POLYGON_BIT == 0;
-        cursors.clear();
-        cursors.resize(tiles + 1, 0);
-        for (_, range) in touched.iter().filter(|(entry, _)| is_triangle(*entry)) {
-            cursors[first_tile(range) + 1] += 1;
+    /// Keeps the triangles in the order that has been found for them, with their colours.
+    fn take_triangles(&mut self, job: &Job<'_>, projector: &Projector, scratch: &Scratch) {
+        self.triangles.reserve(scratch.order.len());
+        self.faces.reserve(scratch.order.len());
+        for &number in &scratch.order {
+            let face = job.faces.start + number as usize;
+            let light = job.light(face, projector);
+            let flat = flat(job.mesh, face, light);
+            self.shown = self.shown.and(flat);
+            let color = flat.unwrap_or([light, 0.0, 0.0, 0.0]);
+            self.triangles.push(Kept { vertices: scratch.corners[number as usize], color });
+            self.faces.push(if flat.is_some() { number } else { number | VARYING_BIT });
         }
-        accumulate(cursors);
-        order.clear();
-        order.resize(triangles.len(), 0);
-        for (entry, range) in touched.iter_mut().filter(|(entry, _)| is_triangle(*entry)) {
-            let place = &mut cursors[first_tile(range)];
-            order[*place as usize] = *entry;
-            *entry = *place;
-            *place += 1;
-        }
-        self.triangles.extend(order.iter().map(|&i| triangles[i as usize]));
     }
 }
 
-/// The smaller of two numbers, in one instruction: no depth is NaN.
-fn lesser(a: f64, b: f64) -> f64 {
-    if a < b { a } else { b }
+/// Lists the triangles by the first tile that they touch, and turns their entries into places in that list.
+fn place_triangles(scratch: &mut Scratch, columns: usize, tiles: usize) {
+    let Scratch { touched, cursors, order, .. } = scratch;
+    let first_tile = |range: &TileRange| usize::from(range.y0) * columns + usize::from(range.x0);
+    let is_triangle = |entry: u32| entry & POLYGON_BIT == 0;
+    cursors.clear();
+    cursors.resize(tiles + 1, 0);
+    for (_, range) in touched.iter().filter(|(entry, _)| is_triangle(*entry)) {
+        cursors[first_tile(range) + 1] += 1;
+    }
+    let triangles = accumulate(cursors);
+    order.clear();
+    order.resize(triangles as usize, 0);
+    for (entry, range) in touched.iter_mut().filter(|(entry, _)| is_triangle(*entry)) {
+        let place = &mut cursors[first_tile(range)];
+        order[*place as usize] = *entry;
+        *entry = *place;
+        *place += 1;
+    }
 }
 
 /// Turns counts, each one place late, into starts; their sum.

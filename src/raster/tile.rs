@@ -179,12 +179,8 @@ impl Tile {
         let mesh = &raster.scene.meshes()[chunk.mesh];
         match primitive {
             Primitive::Triangle(t) => {
-                let surface = Surface::Plane(Plane::new(&t.vertices, perspective));
-                let paint = match t.flat {
-                    Some(color) => Paint::Flat(color),
-                    None => Paint::new(mesh, t.face as usize, t.light),
-                };
-                self.show(pixels, chunk.first_primitive + t.face, &surface, &paint, sink)
+                let surface = Surface::Plane(Plane::new(t.vertices, perspective));
+                self.show(pixels, chunk.first_primitive + t.face, &surface, &t.paint(mesh), sink)
             }
             Primitive::Polygon(p) => {
                 let surface = Surface::Ray(Ray::new(&raster.projector, p.corners));
@@ -442,16 +438,16 @@ impl Raster<'_> {
     /// A primitive's id, geometry and colours.
     fn primitive<'r>(&'r self, chunk: &Chunk, primitive: Primitive<'_>) -> (u32, Surface<'r>, Paint) {
         let mesh = &self.scene.meshes()[chunk.mesh];
-        let (face, light, flat, surface) = match primitive {
+        let (face, paint, surface) = match primitive {
             Primitive::Triangle(t) => {
-                let plane = Plane::new(&t.vertices, self.projector.is_perspective());
-                (t.face, t.light, t.flat, Surface::Plane(plane))
+                let plane = Plane::new(t.vertices, self.projector.is_perspective());
+                (t.face, t.paint(mesh), Surface::Plane(plane))
             }
             Primitive::Polygon(p) => {
-                (p.face, p.light, None, Surface::Ray(Ray::new(&self.projector, p.corners)))
+                let paint = Paint::new(mesh, p.face as usize, p.light);
+                (p.face, paint, Surface::Ray(Ray::new(&self.projector, p.corners)))
             }
         };
-        let paint = flat.map_or_else(|| Paint::new(mesh, face as usize, light), Paint::Flat);
         (chunk.first_primitive + face, surface, paint)
     }
 }

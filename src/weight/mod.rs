@@ -159,7 +159,8 @@ struct Fragments<'a> {
 
 impl Fragments<'_> {
     /// Those from the i-th on.
-    #[inline]
+    #[inline(always)]
+    #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
     fn from(&self, i: usize) -> Self {
         Self { depth: &self.depth[i..], alpha: &self.alpha[i..], ..*self }
     }

@@ -1,0 +1,104 @@
+//! The image cut into tiles.
+
+use super::cover::{Rect, centers};
+
+/// The image cut into square tiles.
+#[derive(Debug, Clone, Copy)]
+pub struct Tiling {
+    width: i32,
+    height: i32,
+    size: i32,
+    /// 1 / `size`: there are quicker ways to divide than to divide.
+    per_pixel: f64,
+}
+
+impl Tiling {
+    /// Tiles of `size` pixels for an image of the given size.
+    #[expect(clippy::cast_possible_wrap, reason = "both are at most MAX_SIZE")]
+    pub fn new(width: u32, height: u32, size: u32) -> Self {
+        Self {
+            width: width as i32,
+            height: height as i32,
+            size: size as i32,
+            per_pixel: f64::from(size).recip(),
+        }
+    }
+    /// Columns of pixels.
+    pub fn width(&self) -> i32 {
+        self.width
+    }
+    /// Rows of pixels.
+    pub fn height(&self) -> i32 {
+        self.height
+    }
+    /// The inverse of a tile's size.
+    #[expect(clippy::cast_possible_truncation, reason = "precise enough for what it is used for")]
+    pub fn per_pixel(&self) -> f32 {
+        self.per_pixel as f32
+    }
+    /// Tiles per row.
+    #[expect(clippy::cast_sign_loss, reason = "never negative")]
+    pub fn columns(&self) -> usize {
+        ((self.width + self.size - 1) / self.size) as usize
+    }
+    /// Rows of tiles.
+    #[expect(clippy::cast_sign_loss, reason = "never negative")]
+    pub fn rows(&self) -> usize {
+        ((self.height + self.size - 1) / self.size) as usize
+    }
+    /// The pixels of a tile.
+    #[expect(
+        clippy::cast_possible_truncation,
+        clippy::cast_possible_wrap,
+        reason = "fewer tiles than pixels"
+    )]
+    pub fn rect(&self, column: usize, row: usize) -> Rect {
+        let (x0, y0) = (column as i32 * self.size, row as i32 * self.size);
+        let (x1, y1) = ((x0 + self.size).min(self.width), (y0 + self.size).min(self.height));
+        Rect { x0, y0, x1, y1 }
+    }
+
+    /// The column or row of tiles that a pixel of the image is in. Half a pixel off, no rounding matters.
+    #[expect(clippy::cast_sign_loss, clippy::cast_possible_truncation, reason = "within the image")]
+    fn tile_of(&self, pixel: i32) -> u16 {
+        ((f64::from(pixel) + 0.5) * self.per_pixel) as u16
+    }
+
+    /// The tiles that the sub-pixel bounds touch, as ranges of columns and rows; `None` when the bounds hold
+    /// no pixel centre of the image.
+    pub fn touched(&self, points: impl Iterator<Item = (i32, i32)>) -> Option<TileRange> {
+        let (mut lo, mut hi) = ((i32::MAX, i32::MAX), (i32::MIN, i32::MIN));
+        for (x, y) in points {
+            lo = (lo.0.min(x), lo.1.min(y));
+            hi = (hi.0.max(x), hi.1.max(y));
+        }
+        let axis = |lo, hi, limit: i32| {
+            let (first, last) = centers(lo, hi);
+            let (first, last) = (first.max(0), last.min(limit));
+            (first < last).then(|| (self.tile_of(first), self.tile_of(last - 1)))
+        };
+        let (x0, x1) = axis(lo.0, hi.0, self.width)?;
+        let (y0, y1) = axis(lo.1, hi.1, self.height)?;
+        Some(TileRange { x0, y0, x1, y1 })
+    }
+}
+
+/// Columns and rows of tiles, all inclusive.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct TileRange {
+    pub x0: u16,
+    pub y0: u16,
+    pub x1: u16,
+    pub y1: u16,
+}
+
+impl TileRange {
+    /// The tiles by their numbers, row by row.
+    pub fn tiles(self, columns: usize) -> impl Iterator<Item = usize> {
+        let row = move |y: u16| {
+            let first = usize::from(y) * columns;
+            first + usize::from(self.x0)..=first + usize::from(self.x1)
+        };
+        (self.y0..=self.y1).flat_map(row)
+    }
+}
