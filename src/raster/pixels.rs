@@ -203,8 +203,9 @@ impl Pixels {
     #[inline(always)]
     #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
     fn write(&mut self, n: usize, first: u32) {
-        let columns = BESIDE.map(|column| first.wrapping_add(column));
-        self.at[n..n + COLUMNS].copy_from_slice(&columns);
+        for (at, column) in self.at[n..n + COLUMNS].iter_mut().zip(BESIDE) {
+            *at = first.wrapping_add(column);
+        }
     }
 
     /// Ends the list, and finds the places of what is in it.
