@@ -87,25 +87,23 @@ fn look_through(placed: Placed) -> Sums {
     return Sums(weight * vec4f(fragment.color, fragment.alpha), vec4f(fragment.alpha));
 }
 
-@compute @workgroup_size(8, 8)
-fn resolve(@builtin(global_invocation_id) id: vec3u) {
-    if is_outside(id) {
-        return;
-    }
-    let background = background_at(pixel_of(id));
-    let sums = min(textureLoad(accumulation_target, id.xy, 0), vec4f(params.two_pass.largest));
-    let share = textureLoad(revealage_target, id.xy, 0).x;
+@fragment
+fn resolve(@builtin(position) position: vec4f) -> @location(0) vec4f {
+    let texel = vec2u(position.xy);
+    let background = background_at(pixel_at(position));
+    let sums = min(textureLoad(accumulation_target, texel, 0), vec4f(params.two_pass.largest));
+    let share = textureLoad(revealage_target, texel, 0).x;
     switch params.two_pass.composite {
         case 0u: {
-            let total = total_at(id.xy);
-            store(id, sums.rgb + total * background, total);
+            let total = total_at(texel);
+            return image_texel(sums.rgb + total * background, total);
         }
         case 1u: {
-            store(id, sums.rgb + share * background, share);
+            return image_texel(sums.rgb + share * background, share);
         }
         default: {
             let average = select(vec3f(0.0), sums.rgb * ((1.0 - share) / sums.a), sums.a > 0.0);
-            store(id, average + share * background, share);
+            return image_texel(average + share * background, share);
         }
     }
 }

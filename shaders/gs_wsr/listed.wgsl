@@ -21,5 +21,6 @@ fn resolve_lists(@builtin(global_invocation_id) id: vec3u) {
     for (var place = list.x; place < list.x + list.y; place++) {
         sums += weight_at(bitcast<f32>(keys[place].x), sigma) * colors[place];
     }
-    store_average(id, min(sums, vec4f(LARGEST)));
+    let average = average_at(pixel_of(id), min(sums, vec4f(LARGEST)));
+    store(id, average.rgb, average.a);
 }

@@ -147,7 +147,7 @@ pub struct Peeling {
     pub peel: &'static str,
     /// That of the pass over the image which composites what was peeled, and says whether there was anything.
     pub composite: &'static str,
-    /// The compute shader's.
+    /// That of the one that makes the image.
     pub resolve: &'static str,
     /// What layers in front are composited in, and those behind.
     pub sums: Vec<BlendTarget>,
@@ -339,7 +339,10 @@ impl Form {
         parts.extend([SHARES_OF_LAYERS, RESOLVE]);
         let constants;
         match &self.path {
-            Path::Blended(blending) => parts.extend(blending.blocks),
+            Path::Blended(blending) => {
+                parts.push(BACKGROUND);
+                parts.extend(blending.blocks);
+            }
             Path::Listed(listing) => {
                 constants = listing.constants();
                 parts.extend([LISTS, RANDOM, CHANCE, ABSORBANCE, SUMS_OF_LISTS, &constants]);

@@ -127,6 +127,8 @@ pub enum Draws {
     Primitives { perspective: bool, zero_fragments: bool, opaque: bool, traits: Traits },
     /// The whole image.
     Background,
+    /// The same, from render targets.
+    Image { opaque: bool, targets_are_whole: bool },
 }
 
 impl Draws {
@@ -134,6 +136,11 @@ impl Draws {
     pub fn vertex(self) -> (&'static str, Vec<(&'static str, f64)>) {
         match self {
             Self::Background => ("cover_all", vec![]),
+            Self::Image { opaque, targets_are_whole } => {
+                let constants =
+                    vec![("has_opaque", flag(opaque)), ("targets_are_whole", flag(targets_are_whole))];
+                ("cover_all", constants)
+            }
             Self::Primitives { perspective, zero_fragments, opaque, traits } => {
                 let constants = vec![
                     ("perspective", flag(perspective)),
@@ -257,7 +264,7 @@ impl Layouts {
         self.make_room();
         let module = self.module(device, shader.module);
         let groups = match draws {
-            Draws::Background => [Some(&self.frame), None, third],
+            Draws::Background | Draws::Image { .. } => [Some(&self.frame), None, third],
             Draws::Primitives { .. } => [Some(&self.frame), Some(&self.geometry), third],
         };
         let used = groups.iter().rposition(Option::is_some).map_or(0, |last| last + 1);

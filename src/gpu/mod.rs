@@ -6,6 +6,8 @@
 #[cfg(feature = "gpu")]
 mod blend;
 #[cfg(feature = "gpu")]
+mod canvas;
+#[cfg(feature = "gpu")]
 mod device;
 #[cfg(feature = "gpu")]
 mod draw;
