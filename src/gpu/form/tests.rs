@@ -42,7 +42,7 @@ fn every_form_is_a_valid_shader_with_the_entry_points_and_params_it_names() {
         let needed = match &form.path {
             Path::Blended(blending) => {
                 let draws = blending.draws.iter().map(|draw| draw.shader);
-                ["place", blending.resolve].into_iter().chain(draws).collect()
+                ["place", "cover_all", blending.resolve].into_iter().chain(draws).collect()
             }
             Path::Listed(listing) => vec!["place", "count_fragment", "sort_lists", listing.resolve],
             Path::Streamed(_) => vec!["place", "count_fragment", "sort_lists", "resolve_stream"],
