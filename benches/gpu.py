@@ -28,7 +28,7 @@ SIZES = {"1280 x 720": (1280, 720), "3840 x 2160": (3840, 2160)}
 """Of a card's images; --huge for those of a processor, too, which takes minutes for some of them."""
 OF_A_PROCESSOR = {"640 x 360": (640, 360)}
 STORAGES = ("ll", "lr")
-PATHS = ("hardware", "compute")
+PATHS: tuple[Literal["hardware", "compute"], ...] = ("hardware", "compute")
 ON_BOTH_PATHS = ("wboit", "alpha_compositing", "mlab", "k_buffer", "multilayer_depth_peeling")
 AIM = 1.5
 """Times the fastest peer's milliseconds that wboit may take on a driver that runs on the processor."""
