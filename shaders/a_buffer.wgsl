@@ -1,17 +1,27 @@
-// The A-buffer (Carpenter 1984): every fragment, sorted, front to back.
+// The A-buffer (Carpenter 1984): every fragment, nearest first. With room for so many, BLENDS_TAIL, a constant that the form sets,
+// says that fragments come as they are submitted, and that what there is no room for is one average behind the others.
 
-@compute @workgroup_size(8, 8)
-fn composite(@builtin(global_invocation_id) id: vec3u) {
-    if is_outside(id) {
-        return;
+var<private> front: Node;
+var<private> tail: Sums;
+
+fn begin(pixel: vec2u) {
+    node_count = 0u;
+    front = CLEAR;
+    tail = NO_SUMS;
+}
+
+fn take(fragment: Fragment) {
+    if BLENDS_TAIL == 0u {
+        front = over(front, Node(key_of(fragment), fragment.color, 1.0 - fragment.alpha));
+    } else if node_count < LAYERS {
+        insert_fragment(fragment);
+    } else {
+        tail = with_fragment(tail, 1.0, rgba(fragment));
     }
-    let list = list_of(pixel_of(id));
-    var color = vec3f(0.0);
-    var transmittance = 1.0;
-    for (var i = 0u; i < list.y; i++) {
-        let fragment = colors[list.x + i];
-        color += transmittance * fragment.rgb;
-        transmittance *= 1.0 - fragment.a;
-    }
-    store(id, color + transmittance * background_at(pixel_of(id)), transmittance);
+}
+
+fn finish(id: vec3u) {
+    let all = composite_nodes(front);
+    let behind = over_background(tail, background_at(pixel_of(id)));
+    store(id, all.color + all.transmittance * behind.rgb, all.transmittance * behind.a);
 }

@@ -2,7 +2,6 @@
 // through it.
 
 struct Params {
-    backwards: u32,
     // so many of the first steps are never removed, one at least
     kept_in_front: u32,
     composite: u32,
@@ -79,29 +78,37 @@ fn transmittance_at(key: vec2u) -> f32 {
     return transmittance;
 }
 
-@compute @workgroup_size(8, 8)
-fn resolve(@builtin(global_invocation_id) id: vec3u) {
-    if is_outside(id) {
-        return;
-    }
-    let list = list_of(pixel_of(id));
+// T behind all steps, and what of all fragments is seen through them
+var<private> total: f32;
+var<private> sums: Sums;
+
+fn begin(pixel: vec2u) {
     step_count = 0u;
-    for (var i = 0u; i < list.y; i++) {
-        let place = place_in(list, i, params.backwards);
-        if all(colors[place] == vec4f(0.0)) {
-            continue;
-        }
-        insert_step(keys[place], colors[place].a);
+    sums = NO_SUMS;
+}
+
+// The first walk makes the steps, and the second looks through them.
+fn take(fragment: Fragment) {
+    let key = key_of(fragment);
+    if walk == 0u {
+        insert_step(key, fragment.alpha);
         if step_count > LAYERS {
             remove_step(least_step());
         }
+        return;
     }
-    let total = add_up_steps();
-    var sums = NO_SUMS;
-    for (var i = 0u; i < list.y; i++) {
-        let place = place_in(list, i, params.backwards);
-        sums = with_fragment(sums, weight_seen(params.composite, transmittance_at(keys[place])), colors[place]);
+    sums = with_fragment(sums, weight_seen(params.composite, transmittance_at(key)), rgba(fragment));
+}
+
+fn again() -> bool {
+    if walk > 0u {
+        return false;
     }
+    total = add_up_steps();
+    return true;
+}
+
+fn finish(id: vec3u) {
     let texel = composite_sums(params.composite, sums, total, background_at(pixel_of(id)));
     store(id, texel.rgb, texel.a);
 }

@@ -6,19 +6,27 @@ struct Params {
 
 @group(0) @binding(3) var<uniform> params: Params;
 
-// Over a list that is sorted already.
-@compute @workgroup_size(8, 8)
-fn resolve(@builtin(global_invocation_id) id: vec3u) {
-    if is_outside(id) {
-        return;
+// the nearest one so far; its coverage is 0 before there is any
+var<private> nearest: vec4f;
+var<private> nearest_key: vec2u;
+
+fn begin(pixel: vec2u) {
+    nearest = vec4f(0.0);
+}
+
+fn take(fragment: Fragment) {
+    let key = key_of(fragment);
+    let is_first = nearest.a == 0.0 || comes_before_by_depth(key, nearest_key);
+    if fragment.alpha > params.threshold && is_first {
+        nearest = rgba(fragment);
+        nearest_key = key;
     }
-    let list = list_of(pixel_of(id));
-    for (var i = 0u; i < list.y; i++) {
-        let fragment = colors[list.x + i];
-        if fragment.a > params.threshold {
-            store(id, fragment.rgb / fragment.a, 0.0);
-            return;
-        }
+}
+
+fn finish(id: vec3u) {
+    if nearest.a > 0.0 {
+        store(id, nearest.rgb / nearest.a, 0.0);
+    } else {
+        store(id, background_at(pixel_of(id)), 1.0);
     }
-    store(id, background_at(pixel_of(id)), 1.0);
 }

@@ -2,7 +2,6 @@
 // fragment seen through it.
 
 struct Params {
-    backwards: u32,
     composite: u32,
     // depth over which a fragment's absorption is spread, in two parts
     thickness: f32,
@@ -119,33 +118,37 @@ fn remove_least() {
     }
 }
 
-@compute @workgroup_size(8, 8)
-fn resolve(@builtin(global_invocation_id) id: vec3u) {
-    if is_outside(id) {
-        return;
-    }
-    let list = list_of(pixel_of(id));
+// what of all fragments is seen through the polyline
+var<private> sums: Sums;
+
+fn begin(pixel: vec2u) {
     vertex_count = 0u;
-    for (var i = 0u; i < list.y; i++) {
-        let place = place_in(list, i, params.backwards);
-        if all(colors[place] == vec4f(0.0)) {
-            continue;
-        }
-        add_fragment(keys[place], colors[place].a);
+    sums = NO_SUMS;
+}
+
+// The first walk makes the polyline, and the second looks through it.
+fn take(fragment: Fragment) {
+    let key = key_of(fragment);
+    if walk == 0u {
+        add_fragment(key, fragment.alpha);
         while vertex_count > LAYERS {
             remove_least();
         }
+        return;
     }
+    let front = face_of(fragment.depth, key.y, 0u);
+    let seen = reaching_face(front, vertices_up_to(front));
+    sums = with_fragment(sums, weight_seen(params.composite, seen), rgba(fragment));
+}
+
+fn again() -> bool {
+    return walk == 0u;
+}
+
+fn finish(id: vec3u) {
     var total = 1.0;
     if vertex_count > 0u {
         total = reaching[vertex_count - 1u];
-    }
-    var sums = NO_SUMS;
-    for (var i = 0u; i < list.y; i++) {
-        let place = place_in(list, i, params.backwards);
-        let front = face_of(bitcast<f32>(keys[place].x), keys[place].y, 0u);
-        let seen = reaching_face(front, vertices_up_to(front));
-        sums = with_fragment(sums, weight_seen(params.composite, seen), colors[place]);
     }
     let texel = composite_sums(params.composite, sums, total, background_at(pixel_of(id)));
     store(id, texel.rgb, texel.a);

@@ -7,6 +7,8 @@ struct Params {
     window_exponent: u32,
     // where less than that shows through, nothing more is peeled
     enough: f32,
+    // at most
+    passes: u32,
 }
 
 @group(0) @binding(3) var<uniform> params: Params;
@@ -24,19 +26,13 @@ struct Layer {
     @location(1) color: vec4f,
 }
 
-const LEAST_NORMAL = 0x00800000;
 // a pixel of which nothing is left; what its target is cleared to
 const NOTHING = 0xffffffffu;
-
-fn window_bits(depth: f32) -> u32 {
-    let bits = bitcast<i32>(depth + 0.0) - bitcast<i32>(params.window_exponent);
-    return u32(select(0, bits, bits >= LEAST_NORMAL));
-}
 
 @fragment
 fn peel(placed: Placed) -> Layer {
     let fragment = fragment_of(placed);
-    let key = vec2u(window_bits(fragment.depth), fragment.primitive + 1u);
+    let key = vec2u(window_bits(fragment.depth, params.window_exponent), fragment.primitive + 1u);
     if !comes_before_by_depth(textureLoad(frontier, fragment.pixel, 0).xy, key) {
         discard;
     }
@@ -63,4 +59,30 @@ fn resolve(@builtin(position) position: vec4f) -> @location(0) vec4f {
     let pixel = pixel_at(position);
     let all = textureLoad(all_layers, pixel, 0);
     return image_texel(min(all.rgb, vec3f(LARGEST)) + all.a * background_at(pixel), all.a);
+}
+
+// In tiles fragments come nearest first: what is peeled so far, and how many.
+var<private> front_color: vec3f;
+var<private> shown: f32;
+var<private> peeled: u32;
+
+fn begin(pixel: vec2u) {
+    front_color = vec3f(0.0);
+    shown = 1.0;
+    peeled = 0u;
+}
+
+fn take(fragment: Fragment) {
+    front_color += shown * fragment.color;
+    shown *= 1.0 - fragment.alpha;
+    peeled++;
+    is_done = peeled >= params.passes || shown < params.enough;
+}
+
+fn again() -> bool {
+    return false;
+}
+
+fn finish(id: vec3u) {
+    store(id, min(front_color, vec3f(LARGEST)) + shown * background_at(pixel_of(id)), shown);
 }

@@ -64,46 +64,52 @@ fn resolve(@builtin(position) position: vec4f) -> @location(0) vec4f {
     return image_texel(min(near.rgb, vec3f(LARGEST)) + near.a * behind, near.a * far.a);
 }
 
-fn does_nothing(place: u32) -> bool {
-    return all(colors[place] == vec4f(0.0));
+// As a stream, nearest first, where passes are limited: how many of the fragments at one depth are within the limit is nothing
+// that a blend unit could know. The first walk counts them.
+var<private> count: u32;
+var<private> taken: u32;
+var<private> front_color: vec3f;
+var<private> shown: f32;
+var<private> back_color: vec3f;
+var<private> shown_behind: f32;
+
+fn begin(pixel: vec2u) {
+    count = 0u;
+    taken = 0u;
+    front_color = vec3f(0.0);
+    shown = 1.0;
+    back_color = vec3f(0.0);
+    shown_behind = 1.0;
 }
 
-// Over a sorted list, for a limited number of passes: how much of a depth that several fragments share is still to be peeled is
-// nothing that a blend unit could know.
-@compute @workgroup_size(8, 8)
-fn resolve_list(@builtin(global_invocation_id) id: vec3u) {
-    if is_outside(id) {
+// How many are peeled from in front.
+fn count_from_front() -> u32 {
+    return min(params.passes, (count + 1u) / 2u);
+}
+
+fn take(fragment: Fragment) {
+    if walk == 0u {
+        count++;
         return;
     }
-    let list = list_of(pixel_of(id));
-    var count = 0u;
-    for (var i = 0u; i < list.y; i++) {
-        count += select(1u, 0u, does_nothing(list.x + i));
-    }
-    let from_front = min(params.passes, (count + 1u) / 2u);
+    let from_front = count_from_front();
     let from_back = min(params.passes, count - from_front);
-    var front_color = vec3f(0.0);
-    var shown = 1.0;
-    var peeled = 0u;
-    for (var place = list.x; peeled < from_front; place++) {
-        if does_nothing(place) {
-            continue;
-        }
-        front_color += shown * colors[place].rgb;
-        shown *= 1.0 - colors[place].a;
-        peeled++;
+    // what overflows can still be hidden
+    if taken < from_front {
+        front_color = min(front_color + shown * fragment.color, vec3f(LARGEST));
+        shown *= 1.0 - fragment.alpha;
+    } else if taken >= count - from_back {
+        back_color = min(back_color + shown_behind * fragment.color, vec3f(LARGEST));
+        shown_behind *= 1.0 - fragment.alpha;
     }
-    var behind = background_at(pixel_of(id));
-    var shown_behind = 1.0;
-    peeled = 0u;
-    for (var place = list.x + list.y; peeled < from_back; place--) {
-        if does_nothing(place - 1u) {
-            continue;
-        }
-        // what overflows can still be hidden
-        behind = min(colors[place - 1u].rgb + (1.0 - colors[place - 1u].a) * behind, vec3f(LARGEST));
-        shown_behind *= 1.0 - colors[place - 1u].a;
-        peeled++;
-    }
-    store(id, min(front_color, vec3f(LARGEST)) + shown * behind, shown * shown_behind);
+    taken++;
+}
+
+fn again() -> bool {
+    return walk == 0u;
+}
+
+fn finish(id: vec3u) {
+    let behind = min(back_color + shown_behind * background_at(pixel_of(id)), vec3f(LARGEST));
+    store(id, front_color + shown * behind, shown * shown_behind);
 }

@@ -57,20 +57,17 @@ fn composite(core: vec3f, core_shares: vec2f) -> vec4f {
     return vec4f(core + core_shares.y * average, all.y);
 }
 
-@compute @workgroup_size(8, 8)
-fn resolve(@builtin(global_invocation_id) id: vec3u) {
-    if is_outside(id) {
-        return;
-    }
-    let list = list_of(pixel_of(id));
+fn begin(pixel: vec2u) {
     core_count = 0u;
     tail = NO_SUMS;
     tail_count = 0u;
-    for (var place = list.x; place < list.x + list.y; place++) {
-        if params.counted != 0u || any(colors[place] != vec4f(0.0)) {
-            receive(keys[place], colors[place]);
-        }
-    }
+}
+
+fn take(fragment: Fragment) {
+    receive(key_of(fragment), rgba(fragment));
+}
+
+fn finish(id: vec3u) {
     var core = vec3f(0.0);
     var shares = vec2f(0.0, 1.0);
     for (var i = 0u; i < core_count; i++) {

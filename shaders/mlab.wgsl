@@ -12,6 +12,5 @@ fn take(fragment: Fragment) {
 }
 
 fn finish(id: vec3u) {
-    let all = composite_nodes(CLEAR);
-    store(id, all.color + all.transmittance * background_at(pixel_of(id)), all.transmittance);
+    store_nodes(id, CLEAR);
 }

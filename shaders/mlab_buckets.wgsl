@@ -1,7 +1,6 @@
 // Multi-layer alpha blending with depth buckets (Kern et al. 2021): lists that do not merge with one another.
 
 struct Params {
-    backwards: u32,
     // nodes per list, and lists
     layers: u32,
     buckets: u32,
@@ -18,65 +17,40 @@ struct Params {
 
 @group(0) @binding(3) var<uniform> params: Params;
 
+// MODE is a constant that the form sets.
+const DEPTH = 0u;
+const TRANSMITTANCE = 1u;
+const MIN_DEPTH = 2u;
+
 const BEHIND_ALL = vec2u(0xffffffffu);
 
-fn is_nothing(place: u32) -> bool {
-    return all(colors[place] == vec4f(0.0));
-}
+// the first surface and the nearest opaque fragment
+var<private> first_surface: vec2u;
+var<private> nearest_opaque: vec2u;
 
-fn store_composite(id: vec3u, all: Node) {
-    store(id, all.color + all.transmittance * background_at(pixel_of(id)), all.transmittance);
-}
-
-// The first surface and the nearest opaque fragment.
-struct Surfaces {
-    front: vec2u,
-    opaque: vec2u,
-}
-
-fn surfaces_of(list: vec2u) -> Surfaces {
-    var found = Surfaces(BEHIND_ALL, BEHIND_ALL);
-    for (var place = list.x; place < list.x + list.y; place++) {
-        let key = keys[place];
-        let alpha = colors[place].a;
-        if is_nothing(place) {
-            continue;
-        }
-        if alpha > params.front_threshold && comes_before_by_depth(key, found.front) {
-            found.front = key;
-        }
-        if alpha >= params.opaque_threshold && comes_before_by_depth(key, found.opaque) {
-            found.opaque = key;
-        }
+fn find_surfaces(fragment: Fragment) {
+    let key = key_of(fragment);
+    if fragment.alpha > params.front_threshold && comes_before_by_depth(key, first_surface) {
+        first_surface = key;
     }
-    return found;
+    if fragment.alpha >= params.opaque_threshold && comes_before_by_depth(key, nearest_opaque) {
+        nearest_opaque = key;
+    }
 }
 
 // All that is in front of the first surface is one node; the others are a list of LAYERS - 1, which is one at least.
-@compute @workgroup_size(8, 8)
-fn resolve_min_depth(@builtin(global_invocation_id) id: vec3u) {
-    if is_outside(id) {
+fn take_by_surfaces(fragment: Fragment) {
+    if comes_before_by_depth(nearest_opaque, key_of(fragment)) {
         return;
     }
-    let list = list_of(pixel_of(id));
-    let surfaces = surfaces_of(list);
-    node_count = 0u;
-    for (var i = 0u; i < list.y; i++) {
-        let place = place_in(list, i, params.backwards);
-        let key = keys[place];
-        if is_nothing(place) || comes_before_by_depth(surfaces.opaque, key) {
-            continue;
-        }
-        insert_node(key, colors[place]);
-        if node_count > 1u && comes_before_by_depth(nodes[1].key, surfaces.front) {
-            merge_pair(0u);
-        }
-        let in_front = u32(comes_before_by_depth(nodes[0].key, surfaces.front));
-        if node_count - in_front > LAYERS - 1u {
-            merge_furthest();
-        }
+    insert_fragment(fragment);
+    if node_count > 1u && comes_before_by_depth(nodes[1].key, first_surface) {
+        merge_pair(0u);
     }
-    store_composite(id, composite_nodes(CLEAR));
+    let in_front = u32(comes_before_by_depth(nodes[0].key, first_surface));
+    if node_count - in_front > LAYERS - 1u {
+        merge_furthest();
+    }
 }
 
 // ln(b / a) for 0 < a <= b. Logarithms of devices are off by an absolute error near 1, where the series of the inverse
@@ -104,54 +78,34 @@ fn bucket_of(depth: f32, range: vec2f) -> u32 {
     return min(u32(position * f32(params.buckets)), params.buckets - 1u);
 }
 
-fn range_of(list: vec2u) -> vec2f {
-    if params.range_of_pixel == 0u {
-        return vec2f(params.nearest, params.farthest);
+// The depths that buckets divide. Lists of depths do not meet, so one after the other is in registers, however many there are:
+// each takes a walk over the fragments, which also finds the next one that is not empty.
+var<private> range: vec2f;
+var<private> bucket: u32;
+var<private> next_bucket: u32;
+// what lies in front of the bucket
+var<private> in_front: Node;
+
+fn take_in_bucket(fragment: Fragment) {
+    let own = bucket_of(fragment.depth, range);
+    if own > bucket {
+        next_bucket = min(next_bucket, own);
     }
-    var range = vec2f(LARGEST, 0.0);
-    for (var place = list.x; place < list.x + list.y; place++) {
-        if !is_nothing(place) {
-            let depth = bitcast<f32>(keys[place].x);
-            range = vec2f(min(range.x, depth), max(range.y, depth));
+    if own == bucket {
+        insert_fragment(fragment);
+        if node_count > LAYERS {
+            merge_furthest();
         }
     }
-    return range;
 }
 
-// Lists of depths do not meet, so one after the other is in registers, however many there are: each takes a walk over the
-// fragments, which also finds the next one that is not empty.
-@compute @workgroup_size(8, 8)
-fn resolve_depth(@builtin(global_invocation_id) id: vec3u) {
-    if is_outside(id) {
-        return;
-    }
-    let list = list_of(pixel_of(id));
-    let range = range_of(list);
-    var all = CLEAR;
-    var bucket = 0u;
-    while bucket < params.buckets {
-        var next = params.buckets;
-        node_count = 0u;
-        for (var i = 0u; i < list.y; i++) {
-            let place = place_in(list, i, params.backwards);
-            if is_nothing(place) {
-                continue;
-            }
-            let own = bucket_of(bitcast<f32>(keys[place].x), range);
-            if own > bucket {
-                next = min(next, own);
-            }
-            if own == bucket {
-                insert_node(keys[place], colors[place]);
-                if node_count > LAYERS {
-                    merge_furthest();
-                }
-            }
-        }
-        all = composite_nodes(all);
-        bucket = next;
-    }
-    store_composite(id, all);
+// Whether there is another bucket.
+fn go_to_next_bucket() -> bool {
+    in_front = composite_nodes(in_front);
+    node_count = 0u;
+    bucket = next_bucket;
+    next_bucket = params.buckets;
+    return bucket < params.buckets;
 }
 
 // where lists begin among the nodes
@@ -206,25 +160,61 @@ fn split_or_merge(own: u32, newcomer: u32) {
     }
 }
 
-@compute @workgroup_size(8, 8)
-fn resolve_transmittance(@builtin(global_invocation_id) id: vec3u) {
-    if is_outside(id) {
-        return;
+fn take_by_transmittance(fragment: Fragment) {
+    let newcomer = insert_node(key_of(fragment), rgba(fragment));
+    let own = list_of_newcomer(newcomer);
+    if end_of(own) - starts[own] > params.layers {
+        split_or_merge(own, newcomer);
     }
-    let list = list_of(pixel_of(id));
+}
+
+fn begin(pixel: vec2u) {
     node_count = 0u;
     list_count = 1u;
     starts[0] = 0u;
-    for (var i = 0u; i < list.y; i++) {
-        let place = place_in(list, i, params.backwards);
-        if is_nothing(place) {
-            continue;
-        }
-        let newcomer = insert_node(keys[place], colors[place]);
-        let own = list_of_newcomer(newcomer);
-        if end_of(own) - starts[own] > params.layers {
-            split_or_merge(own, newcomer);
-        }
+    first_surface = BEHIND_ALL;
+    nearest_opaque = BEHIND_ALL;
+    bucket = 0u;
+    next_bucket = params.buckets;
+    in_front = CLEAR;
+    range = select(vec2f(params.nearest, params.farthest), vec2f(LARGEST, 0.0), params.range_of_pixel != 0u);
+}
+
+// Whether the first walk finds out what the others have to know.
+fn is_finding() -> bool {
+    return walk == 0u && (MODE == MIN_DEPTH || params.range_of_pixel != 0u);
+}
+
+fn find(fragment: Fragment) {
+    if MODE == MIN_DEPTH {
+        find_surfaces(fragment);
+    } else {
+        range = vec2f(min(range.x, fragment.depth), max(range.y, fragment.depth));
     }
-    store_composite(id, composite_nodes(CLEAR));
+}
+
+fn take(fragment: Fragment) {
+    if MODE == TRANSMITTANCE {
+        take_by_transmittance(fragment);
+    } else if is_finding() {
+        find(fragment);
+    } else if MODE == MIN_DEPTH {
+        take_by_surfaces(fragment);
+    } else {
+        take_in_bucket(fragment);
+    }
+}
+
+fn again() -> bool {
+    if MODE == TRANSMITTANCE {
+        return false;
+    }
+    if is_finding() {
+        return true;
+    }
+    return MODE == DEPTH && go_to_next_bucket();
+}
+
+fn finish(id: vec3u) {
+    store_nodes(id, in_front);
 }

@@ -2,7 +2,6 @@
 
 struct Params {
     masking: Masking,
-    backwards: u32,
     // steps of an alpha, where layers keep alphas of few bits (section 5.4)
     levels: u32,
 }
@@ -72,25 +71,44 @@ fn merge_furthest_layers() {
     }
 }
 
-@compute @workgroup_size(8, 8)
-fn resolve_masks(@builtin(global_invocation_id) id: vec3u) {
-    if is_outside(id) {
+// The fragment with its alpha in steps, rounded at random.
+fn in_steps(fragment: Fragment) -> vec4f {
+    let random = mixed(draws_of(fragment.pixel, fragment.primitive, params.masking.seed), ROUNDING);
+    let exact = exactly(fragment.alpha, params.levels);
+    let steps = exact.whole + u32(is_within_fraction(random, exact));
+    let alpha = f32(steps) / f32(params.levels);
+    return vec4f(alpha * unmultiplied(rgba(fragment)), alpha);
+}
+
+// KEEPS_ALPHAS is a constant that the form sets: layers are those of multi-layer alpha blending, with such alphas.
+fn begin(pixel: vec2u) {
+    layer_count = 0u;
+    node_count = 0u;
+}
+
+fn take(fragment: Fragment) {
+    // what covers nothing has no colour of its own
+    if fragment.alpha == 0.0 {
         return;
     }
-    let pixel = pixel_of(id);
-    let list = list_of(pixel);
-    layer_count = 0u;
-    for (var i = 0u; i < list.y; i++) {
-        let place = place_in(list, i, params.backwards);
-        // what covers nothing has no colour of its own
-        if colors[place].a == 0.0 {
-            continue;
+    if KEEPS_ALPHAS != 0u {
+        insert_node(key_of(fragment), in_steps(fragment));
+        if node_count > LAYERS {
+            merge_furthest();
         }
-        draw_mask(params.masking, pixel, keys[place].y, colors[place].a);
-        insert_layer(keys[place], unmultiplied(colors[place]));
-        if layer_count > LAYERS {
-            merge_furthest_layers();
-        }
+        return;
+    }
+    draw_mask(params.masking, fragment.pixel, fragment.primitive, fragment.alpha);
+    insert_layer(key_of(fragment), unmultiplied(rgba(fragment)));
+    if layer_count > LAYERS {
+        merge_furthest_layers();
+    }
+}
+
+fn finish(id: vec3u) {
+    if KEEPS_ALPHAS != 0u {
+        store_nodes(id, CLEAR);
+        return;
     }
     // eq. 15
     let all = f32(params.masking.bits);
@@ -101,36 +119,5 @@ fn resolve_masks(@builtin(global_invocation_id) id: vec3u) {
         color += samples / all * layer_colors[i];
         open -= samples;
     }
-    store(id, color + open / all * background_at(pixel), open / all);
-}
-
-// The fragment with its alpha in steps, rounded at random.
-fn in_steps(pixel: vec2u, primitive: u32, fragment: vec4f) -> vec4f {
-    let random = mixed(draws_of(pixel, primitive, params.masking.seed), ROUNDING);
-    let exact = exactly(fragment.a, params.levels);
-    let steps = exact.whole + u32(is_within_fraction(random, exact));
-    let alpha = f32(steps) / f32(params.levels);
-    return vec4f(alpha * unmultiplied(fragment), alpha);
-}
-
-@compute @workgroup_size(8, 8)
-fn resolve_alphas(@builtin(global_invocation_id) id: vec3u) {
-    if is_outside(id) {
-        return;
-    }
-    let pixel = pixel_of(id);
-    let list = list_of(pixel);
-    node_count = 0u;
-    for (var i = 0u; i < list.y; i++) {
-        let place = place_in(list, i, params.backwards);
-        if colors[place].a == 0.0 {
-            continue;
-        }
-        insert_node(keys[place], in_steps(pixel, keys[place].y, colors[place]));
-        if node_count > LAYERS {
-            merge_furthest();
-        }
-    }
-    let all = composite_nodes(CLEAR);
-    store(id, all.color + all.transmittance * background_at(pixel), all.transmittance);
+    store(id, color + open / all * background_at(pixel_of(id)), open / all);
 }

@@ -7,11 +7,9 @@ struct Params {
 }
 
 @group(0) @binding(3) var<uniform> params: Params;
-// 32 bits each, pixel by pixel
-@group(2) @binding(5) var<storage, read_write> masks: array<atomic<u32>>;
 
-fn first_word_of(texel: vec2u) -> u32 {
-    return (texel.y * frame.size.x + texel.x) * ((params.bits + 31u) / 32u);
+fn word_count() -> u32 {
+    return (params.bits + 31u) / 32u;
 }
 
 fn bit_of(fragment: Fragment) -> u32 {
@@ -22,16 +20,15 @@ fn bit_of(fragment: Fragment) -> u32 {
 // Occupies the fragment's slice, too; once more changes nothing.
 fn term_of(fragment: Fragment) -> Term {
     let bit = bit_of(fragment);
-    atomicOr(&masks[first_word_of(texel_of(fragment.pixel)) + bit / 32u], 1u << (bit % 32u));
+    set_bits(texel_of(fragment.pixel), word_count(), bit / 32u, 1u << (bit % 32u));
     return Term(bit / (params.bits / params.slabs), absorbance_of(fragment));
 }
 
 // How many slices from `first` up to `end` hold something.
 fn occupied(texel: vec2u, first: u32, end: u32) -> f32 {
-    let words = first_word_of(texel);
     var count = 0u;
     for (var word = first / 32u; 32u * word < end; word++) {
-        var mask = atomicLoad(&masks[words + word]);
+        var mask = word_at(texel, word_count(), word);
         if 32u * word < first {
             mask &= 0xffffffffu << (first % 32u);
         }

@@ -14,24 +14,26 @@ fn coverage_of(alpha: f32) -> u32 {
     return share.whole + select(0u, 1u, share.fraction > half || (share.fraction == half && share.more));
 }
 
-// Over a list that is sorted already.
-@compute @workgroup_size(8, 8)
-fn resolve(@builtin(global_invocation_id) id: vec3u) {
-    if is_outside(id) {
-        return;
+// samples that are covered, and their colours
+var<private> covered: u32;
+var<private> color: vec3f;
+
+fn begin(pixel: vec2u) {
+    covered = 0u;
+    color = vec3f(0.0);
+}
+
+// Nearest first.
+fn take(fragment: Fragment) {
+    let coverage = coverage_of(fragment.alpha);
+    if coverage > covered {
+        color += f32(coverage - covered) / f32(params.samples) * unmultiplied(rgba(fragment));
+        covered = coverage;
     }
-    let list = list_of(pixel_of(id));
-    let samples = f32(params.samples);
-    var color = vec3f(0.0);
-    var covered = 0u;
-    for (var i = 0u; i < list.y && covered < params.samples; i++) {
-        let fragment = colors[list.x + i];
-        let coverage = coverage_of(fragment.a);
-        if coverage > covered {
-            color += f32(coverage - covered) / samples * unmultiplied(fragment);
-            covered = coverage;
-        }
-    }
-    let open = f32(params.samples - covered) / samples;
+    is_done = covered >= params.samples;
+}
+
+fn finish(id: vec3u) {
+    let open = f32(params.samples - covered) / f32(params.samples);
     store(id, color + open * background_at(pixel_of(id)), open);
 }

@@ -20,69 +20,66 @@ var<private> color: vec3f;
 var<private> shown: f32;
 // samples that no layer covers
 var<private> open: u32;
+// of what is not stored, or of all fragments
+var<private> sums: Sums;
 
-fn store_mask(pixel: vec2u, primitive: u32, fragment: vec4f) -> bool {
-    draw_mask(params.masking, pixel, primitive, fragment.a);
+fn store_mask(fragment: Fragment) -> bool {
+    draw_mask(params.masking, fragment.pixel, fragment.primitive, fragment.alpha);
     let visible = count_visible();
-    if fragment.a <= 0.0 || visible == 0u {
+    if fragment.alpha <= 0.0 || visible == 0u {
         return false;
     }
     cover_drawn();
     open -= visible;
     let bits = f32(params.masking.bits);
-    color += f32(visible) / bits * unmultiplied(fragment);
+    color += f32(visible) / bits * unmultiplied(rgba(fragment));
     shown = f32(open) / bits;
     return true;
 }
 
-fn store_alpha(pixel: vec2u, primitive: u32, fragment: vec4f) -> bool {
-    if !shows_by_chance(params.masking, pixel, primitive, shown, fragment.a) {
+fn store_alpha(fragment: Fragment) -> bool {
+    if !shows_by_chance(params.masking, fragment.pixel, fragment.primitive, shown, fragment.alpha) {
         return false;
     }
-    color += shown * fragment.rgb;
-    shown *= 1.0 - fragment.a;
+    color += shown * fragment.color;
+    shown *= 1.0 - fragment.alpha;
     return true;
 }
 
 // Whether a fragment becomes a layer.
-fn store_layer(pixel: vec2u, primitive: u32, fragment: vec4f) -> bool {
+fn store_layer(fragment: Fragment) -> bool {
     if stored >= params.layers {
         return false;
     }
     if params.keeps_masks != 0u {
-        return store_mask(pixel, primitive, fragment);
+        return store_mask(fragment);
     }
-    return store_alpha(pixel, primitive, fragment);
+    return store_alpha(fragment);
 }
 
-@compute @workgroup_size(8, 8)
-fn resolve(@builtin(global_invocation_id) id: vec3u) {
-    if is_outside(id) {
-        return;
-    }
-    let pixel = pixel_of(id);
-    let list = list_of(pixel);
+fn begin(pixel: vec2u) {
     stored = 0u;
     color = vec3f(0.0);
     shown = 1.0;
     open = params.masking.bits;
     covered = Mask();
-    var sums = NO_SUMS;
-    for (var place = list.x; place < list.x + list.y; place++) {
-        let fragment = colors[place];
-        if all(fragment == vec4f(0.0)) {
-            continue;
-        }
-        let seen = shown;
-        let is_stored = store_layer(pixel, keys[place].y, fragment);
-        stored += u32(is_stored);
-        if params.accumulate == 1u {
-            sums = with_fragment(sums, weight_seen(params.composite, seen), fragment);
-        } else if !is_stored {
-            sums = with_fragment(sums, 1.0, fragment);
-        }
+    sums = NO_SUMS;
+}
+
+fn take(fragment: Fragment) {
+    let seen = shown;
+    let is_stored = store_layer(fragment);
+    stored += u32(is_stored);
+    if params.accumulate == 1u {
+        sums = with_fragment(sums, weight_seen(params.composite, seen), rgba(fragment));
+    } else if !is_stored {
+        sums = with_fragment(sums, 1.0, rgba(fragment));
     }
-    let background = background_at(pixel);
+    is_done = stored >= params.layers && params.accumulate == 0u;
+}
+
+fn finish(id: vec3u) {
+    let background = background_at(pixel_of(id));
     if params.accumulate == 1u {
         let all = composite_sums(params.composite, sums, shown, background);
         store(id, all.rgb, all.a);

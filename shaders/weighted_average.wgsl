@@ -35,5 +35,6 @@ fn resolve(@builtin(position) position: vec4f) -> @location(0) vec4f {
     }
     let count = max(textureLoad(count_target, texel_of(pixel), 0).x, 1.0);
     let shares = repeated(min(sums.a / count, 1.0), u32(count));
-    return image_texel(shares.x * (sums.rgb / sums.a) + shares.y * background, shares.y);
+    // what they cover is at most the sum of alphas: the other way round, bright colours would leave f32
+    return image_texel((shares.x / sums.a) * sums.rgb + shares.y * background, shares.y);
 }

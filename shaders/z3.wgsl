@@ -1,7 +1,6 @@
 // Z3 (Jouppi & Chang 1999): one node too many, and the two neighbours with the smallest gap between them become one.
 
 struct Params {
-    backwards: u32,
     // a merged node lies at the mean of its depths, not at the nearer one
     at_mean: u32,
 }
@@ -41,23 +40,17 @@ fn merge_closest() {
     }
 }
 
-@compute @workgroup_size(8, 8)
-fn resolve(@builtin(global_invocation_id) id: vec3u) {
-    if is_outside(id) {
-        return;
-    }
-    let list = list_of(pixel_of(id));
+fn begin(pixel: vec2u) {
     node_count = 0u;
-    for (var i = 0u; i < list.y; i++) {
-        let place = place_in(list, i, params.backwards);
-        if all(colors[place] == vec4f(0.0)) {
-            continue;
-        }
-        insert_node(keys[place], colors[place]);
-        if node_count > LAYERS {
-            merge_closest();
-        }
+}
+
+fn take(fragment: Fragment) {
+    insert_fragment(fragment);
+    if node_count > LAYERS {
+        merge_closest();
     }
-    let all = composite_nodes(CLEAR);
-    store(id, all.color + all.transmittance * background_at(pixel_of(id)), all.transmittance);
+}
+
+fn finish(id: vec3u) {
+    store_nodes(id, CLEAR);
 }

@@ -2,7 +2,6 @@
 
 use crate::params::Params;
 use crate::spare::{Spare, bytes_of};
-use crate::technique::Finished;
 use multiversion::multiversion;
 use std::sync::Arc;
 
@@ -13,8 +12,8 @@ pub trait Sample: Copy + Send + Sync + Default + 'static {
 
     /// The nearest sample; values beyond the type's range become its largest finite value.
     fn from_f64(value: f64) -> Self;
-    /// Colours and background shares as samples.
-    fn store(pixels: &[Finished], colors: &mut [[Self; 3]], shares: &mut [Self]);
+    /// Colours and background shares, channel by channel, as samples.
+    fn store(pixels: [&[f64]; 4], colors: &mut [[Self; 3]], shares: &mut [Self]);
     /// Wraps a buffer of samples.
     fn wrap(samples: Vec<Self>) -> Image;
     /// Buffers that nobody needs any more.
@@ -28,7 +27,7 @@ impl Sample for f32 {
     fn from_f64(value: f64) -> Self {
         value.clamp(f64::from(f32::MIN), f64::from(f32::MAX)) as f32
     }
-    fn store(pixels: &[Finished], colors: &mut [[Self; 3]], shares: &mut [Self]) {
+    fn store(pixels: [&[f64]; 4], colors: &mut [[Self; 3]], shares: &mut [Self]) {
         store_f32(pixels, colors, shares);
     }
     fn wrap(samples: Vec<Self>) -> Image {
@@ -47,10 +46,12 @@ impl Sample for f64 {
     fn from_f64(value: f64) -> Self {
         value
     }
-    fn store(pixels: &[Finished], colors: &mut [[Self; 3]], shares: &mut [Self]) {
-        for ((&[r, g, b, t], color), share) in pixels.iter().zip(colors).zip(shares) {
-            (*color, *share) = ([r, g, b], t);
+    fn store(pixels: [&[f64]; 4], colors: &mut [[Self; 3]], shares: &mut [Self]) {
+        let [r, g, b, share] = pixels;
+        for (((color, r), g), b) in colors.iter_mut().zip(r).zip(g).zip(b) {
+            *color = [*r, *g, *b];
         }
+        shares.copy_from_slice(share);
     }
     fn wrap(samples: Vec<Self>) -> Image {
         Image::F64(samples)
@@ -63,15 +64,20 @@ impl Sample for f64 {
 
 #[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
 #[expect(clippy::cast_possible_truncation, reason = "rounding to the sample type is the point")]
-fn store_f32(pixels: &[Finished], colors: &mut [[f32; 3]], shares: &mut [f32]) {
+fn store_f32([r, g, b, share]: [&[f64]; 4], colors: &mut [[f32; 3]], shares: &mut [f32]) {
     let largest = f64::from(f32::MAX);
-    for ((pixel, color), share) in pixels.iter().zip(colors).zip(shares) {
-        let mut samples = [0.0; 4];
-        for channel in 0..4 {
-            let value = if pixel[channel] < largest { pixel[channel] } else { largest };
-            samples[channel] = if value > -largest { value } else { -largest } as f32;
-        }
-        (*color, *share) = ([samples[0], samples[1], samples[2]], samples[3]);
+    let sample = |value: f64| {
+        let value = if value < largest { value } else { largest };
+        (if value > -largest { value } else { -largest }) as f32
+    };
+    // slices of one length need no checks, and the loops become ones of vectors across the pixels
+    let pixels = colors.len();
+    let (r, g, b, share) = (&r[..pixels], &g[..pixels], &b[..pixels], &share[..pixels]);
+    for i in 0..pixels {
+        colors[i] = [sample(r[i]), sample(g[i]), sample(b[i])];
+    }
+    for (to, share) in shares.iter_mut().zip(share) {
+        *to = sample(*share);
     }
 }
 
@@ -119,6 +125,27 @@ pub struct Frame {
     pub stats: Stats,
 }
 
+/// What can be skipped.
+const SKIPS: [&str; 10] = [
+    "empty_tiles",
+    "empty_pixels",
+    "occluded_fragments",
+    "occluded_primitives",
+    "single_fragment_pixels",
+    "hidden_fragments",
+    "one_color_tiles",
+    "layered_tiles",
+    "repeated_pixels",
+    "duplicate_variants",
+];
+
+/// Everything that can be skipped, with how often it was; 0 where nobody counted, as on a backend that does not skip it.
+pub fn skipped(counted: &[(&'static str, u64)]) -> Vec<(&'static str, u64)> {
+    debug_assert!(counted.iter().all(|(name, _)| SKIPS.contains(name)), "{counted:?}");
+    let count = |name| counted.iter().find(|(counted, _)| *counted == name).map_or(0, |(_, count)| *count);
+    SKIPS.iter().map(|name| (*name, count(*name))).collect()
+}
+
 /// What a render took.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Stats {
@@ -142,7 +169,7 @@ pub struct Stats {
     pub dropped: u64,
     /// Fragments for which a weight or bin function of the user's own gave none: see [`crate::params::Reports`].
     pub invalid_weights: u64,
-    /// What was skipped, and how often.
+    /// What was skipped, and how often; see [`skipped`].
     pub skipped: Vec<(&'static str, u64)>,
     /// What rendered it.
     pub backend: &'static str,

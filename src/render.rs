@@ -16,13 +16,13 @@ pub use capture::capture;
 pub use depth::{DepthImages, depth_images};
 pub use diagnose::{Diagnostics, diagnose};
 #[cfg(feature = "gpu")]
-pub use gpu::{capture_on_gpu, render_on_gpu};
+pub use gpu::{capture_on_gpu, check_on_gpu, render_on_gpu};
 pub use inspect::{Transmittance, cost, order_sensitivity, transmittance};
 pub use request::{Custom, Make, Request};
 
 use crate::error::{Error, Result};
 use crate::fragments::Fragments;
-use crate::frame::{Frame, Sample, Stats};
+use crate::frame::{Frame, Sample, Stats, skipped};
 use crate::order::{CentroidOrder, SubmissionOrder};
 use crate::params::{Params, View};
 use crate::raster::{self, Raster};
@@ -45,6 +45,25 @@ pub enum Source<'a> {
     Scene(&'a Scene),
     /// Fragments that exist already.
     Fragments(&'a Fragments),
+}
+
+impl Source<'_> {
+    /// Columns and rows of its image.
+    #[cfg(feature = "gpu")]
+    fn size(self) -> (u32, u32) {
+        match self {
+            Self::Scene(scene) => (scene.width(), scene.height()),
+            Self::Fragments(fragments) => (fragments.width, fragments.height),
+        }
+    }
+
+    /// What is known of the view before anything is set up.
+    fn provisional_view(self) -> View {
+        match self {
+            Self::Scene(scene) => raster::provisional_view(scene),
+            Self::Fragments(fragments) => fragments.view,
+        }
+    }
 }
 
 /// How to render, as opposed to what.
@@ -89,7 +108,7 @@ pub fn render<S: Sample>(
     let start = Instant::now();
     with_threads(options.threads, |threads| match source {
         Source::Scene(scene) => {
-            let provisional = raster::provisional_view(scene);
+            let provisional = source.provisional_view();
             asked.iter().try_for_each(|asked| asked.bind(&provisional).map(drop))?;
             let raster = Raster::new(scene, options.tile_size, stop);
             let setup_nanos = nanos_since(start);
@@ -106,6 +125,15 @@ pub fn render<S: Sample>(
             Ok(job.frames(finished, &Clock { setup_nanos: 0, wall_nanos, threads }))
         }
     })
+}
+
+/// Refuses what [`render`] would refuse of these requests before it draws anything.
+///
+/// # Errors
+/// As [`render`].
+pub fn check(source: Source<'_>, requests: &[Request]) -> Result<()> {
+    let view = source.provisional_view();
+    requests.iter().try_for_each(|request| request.check()?.bind(&view).map(drop))
 }
 
 /// Runs `work` on so many threads, telling it how many they are.
@@ -333,6 +361,7 @@ impl<'a> Job<'a> {
         let resolve_ms = ranking_ms + share(variant.nanos);
         let alone = self.variants.len() == 1;
         let of_over = |tiles| if self.plan.overs.contains(&index) { tiles } else { 0 };
+        let of_sums = |pixels| if self.plan.sums.contains(&index) { pixels } else { 0 };
         Stats {
             total_ms: if alone { clock.wall_nanos as f64 * 1e-6 } else { raster_ms + resolve_ms },
             raster_ms,
@@ -344,7 +373,7 @@ impl<'a> Job<'a> {
             bytes_per_pixel: cost.bytes_per_pixel,
             dropped: variant.dropped,
             invalid_weights: variant.invalid_weights + self.variants[index].params.reports().invalid(),
-            skipped: vec![
+            skipped: skipped(&[
                 ("empty_tiles", tally.empty_tiles),
                 ("empty_pixels", tally.empty_pixels),
                 ("occluded_fragments", tally.occluded.fragments),
@@ -353,8 +382,9 @@ impl<'a> Job<'a> {
                 ("hidden_fragments", variant.hidden_fragments),
                 ("one_color_tiles", of_over(tally.one_color_tiles)),
                 ("layered_tiles", of_over(tally.layered_tiles)),
+                ("repeated_pixels", of_sums(tally.repeated_pixels)),
                 ("duplicate_variants", u64::from(duplicate)),
-            ],
+            ]),
             backend: "cpu",
             threads: clock.threads,
         }

@@ -9,6 +9,7 @@ use crate::fragments::{List, ListsRef};
 use crate::gpu::form::MakeForm;
 use crate::params::{ParamSpec, Params, View};
 use glam::DVec3;
+use std::ops::Range;
 
 /// One pixel as a technique sees it.
 #[derive(Debug, Clone, Copy)]
@@ -40,6 +41,41 @@ pub struct Resolved {
 /// A pixel of a technique that keeps every fragment and attenuates all channels alike: linear colour, background
 /// included, and the background's share.
 pub type Finished = [f64; 4];
+
+/// Finished pixels, channel by channel: so they are made and stored many at a time.
+#[derive(Debug, Default)]
+pub struct FinishedPixels {
+    planes: [Vec<f64>; 4],
+}
+
+impl FinishedPixels {
+    /// Makes room for so many; those that are there already stay.
+    pub fn resize(&mut self, pixels: usize) {
+        self.planes.iter_mut().for_each(|plane| plane.resize(pixels, 0.0));
+    }
+    /// How many there are.
+    pub fn len(&self) -> usize {
+        self.planes[0].len()
+    }
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+    /// One channel after the other of some of them.
+    pub fn planes(&self, pixels: Range<usize>) -> [&[f64]; 4] {
+        let [r, g, b, share] = &self.planes;
+        [&r[pixels.clone()], &g[pixels.clone()], &b[pixels.clone()], &share[pixels]]
+    }
+    /// One channel after the other of all, to be written.
+    pub fn planes_mut(&mut self) -> [&mut [f64]; 4] {
+        let [r, g, b, share] = &mut self.planes;
+        [r, g, b, share]
+    }
+    /// Writes one pixel.
+    pub fn set(&mut self, i: usize, pixel: Finished) {
+        self.planes.iter_mut().zip(pixel).for_each(|(plane, channel)| plane[i] = channel);
+    }
+}
 
 impl Resolved {
     /// A colour over which the background shows with the same share in every channel.

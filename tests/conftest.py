@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 import oitlab
+from backends import BACKENDS
 
 DATA = Path(os.environ.get("OITLAB_DATA", Path(__file__).parents[2] / "shared" / "data"))
 
@@ -21,6 +22,13 @@ def data() -> Callable[[str], Path]:
         return DATA / name
 
     return find
+
+
+@pytest.fixture(scope="module", params=BACKENDS)
+def backend(request: pytest.FixtureRequest) -> str:
+    """Each backend in turn: what a test asks of one holds on the other."""
+    name: str = request.param
+    return name
 
 
 @pytest.fixture(scope="session")

@@ -1,25 +1,17 @@
 """The device, if there is one, and scenes on which backends are compared."""
 
-import os
 from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
 import oitlab
-
-try:
-    DEVICE: oitlab.gpu.GpuInfo | None = oitlab.gpu.info()
-    WHY_NOT = ""
-except RuntimeError as error:
-    DEVICE, WHY_NOT = None, str(error)
-
-if DEVICE is None and os.environ.get("OITLAB_REQUIRE_GPU"):
-    raise RuntimeError(WHY_NOT)  # where there has to be a driver, its absence is no reason to skip
+from backends import DEVICE as DEVICE
+from backends import F32 as F32
+from backends import WHY_NOT as WHY_NOT
 
 SIZE = {"width": 64, "height": 48}
 
-F32 = 2.0**-24
 # Sums and products of n fragments are rounded n times; sixteen more roundings are those of weights, the
 # resolve and its division. Errors are relative to the largest colour, which is the sums' scale.
 ROUNDINGS = 16

@@ -93,11 +93,11 @@ def test_a_capture_survives_its_arrays(small_scene: oitlab.Scene) -> None:
 
 
 @pytest.mark.parametrize("technique", oitlab.techniques().ids)
-def test_a_capture_gives_its_scenes_bits(small_scene: oitlab.Scene, technique: str) -> None:
-    direct = oitlab.render(small_scene, technique)
-    fragments = oitlab.capture(small_scene)
+def test_a_capture_gives_its_scenes_bits(small_scene: oitlab.Scene, technique: str, backend: Any) -> None:
+    direct = oitlab.render(small_scene, technique, backend=backend)
+    fragments = oitlab.capture(small_scene) if backend == "cpu" else oitlab.gpu.capture(small_scene)
     for source in (fragments, pickle.loads(pickle.dumps(fragments))):
-        captured = oitlab.render(source, technique)
+        captured = oitlab.render(source, technique, backend=backend)
         np.testing.assert_array_equal(captured.color, direct.color)
         np.testing.assert_array_equal(captured.transmittance, direct.transmittance)
         np.testing.assert_array_equal(captured.first_depth, direct.first_depth)

@@ -52,8 +52,8 @@ def test_a_copy_with_changes_leaves_the_rest_unmade() -> None:
 
 
 @pytest.mark.parametrize("duplicate", [lambda f: pickle.loads(pickle.dumps(f)), copy.deepcopy, copy.copy])
-def test_copies_and_pickles_hold_values(small_scene: oitlab.Scene, duplicate: Any) -> None:
-    original = oitlab.render(small_scene, "wboit")
+def test_copies_and_pickles_hold_values(small_scene: oitlab.Scene, duplicate: Any, backend: Any) -> None:
+    original = oitlab.render(small_scene, "wboit", backend=backend)
     back = duplicate(original)
     for name in FIELDS:
         np.testing.assert_equal(getattr(back, name), getattr(original, name))
@@ -102,11 +102,12 @@ def test_fields_cannot_be_set(name: str) -> None:
         setattr(frame(random_image(1)), name, None)
 
 
-def test_inactive_params_are_those_that_do_nothing() -> None:
+def test_inactive_params_are_those_that_do_nothing(backend: Any) -> None:
     scene = oitlab.scenes.squares(width=8, height=6)
     named, own = oitlab.render_many(
         scene,
         [("wboit", {"weight": "mb7"}), ("continuum", {"layers": 2, "weight": "a / z * k", "weight.k": 2.0})],
+        backend=backend,
     )
     assert {"weight_k", "near", "far"} <= named.inactive_params <= named.params.keys()
     assert not {"weight", "weight_shift"} & named.inactive_params

@@ -234,7 +234,6 @@ def test_formats_that_a_device_has_are_the_same_form() -> None:
     [
         ("z3", {"layers": 33}, "layers is at most 32"),
         ("z3", {"format": "f16"}, "nodes of other formats than f32"),
-        ("z3", {"submission_order": "centroid"}, 'submission_order="centroid" has no form'),
         ("mlab_buckets", {"mode": "transmittance", "layers": 4, "buckets": 9}, "buckets is at most 8"),
         ("mlab_buckets", {"mode": "depth", "buckets": 513}, "buckets is at most 512"),
         ("mlab_buckets", {"layers": 1000}, "layers=1000 has no form"),

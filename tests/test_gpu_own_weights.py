@@ -143,11 +143,37 @@ def test_callables_are_refused(technique: str, more: dict[str, Any]) -> None:
         oitlab.render(SCENES["squares"], technique, {"weight": lambda z, a: z} | more, backend="gpu")
 
 
-def test_bin_functions_of_ones_own_are_refused() -> None:
-    with pytest.raises(ValueError, match="bin functions of one's own have no form"):
-        oitlab.render(
-            SCENES["squares"],
-            "lwboit",
-            {"storage": "ll", "smooth": True, "partition": "none", "bin_function": "max(0.0, 1.0 - abs(x))"},
-            backend="gpu",
-        )
+BIN_FUNCTIONS: dict[str, dict[str, Any]] = {
+    "the tent": {"bin_function": "max(0.0, 1.0 - abs(x))"},
+    "a uniform": {"bin_function": "exp(-k * x * x)", "bin_function.k": 1.5},
+    "more than all": {"bin_function": "3.0 - abs(x)"},
+    "less than nothing": {"bin_function": "0.75 - abs(x)"},
+    "numbers that are none": {"bin_function": "sqrt(1.5 - abs(x))"},
+    "nothing": {"bin_function": "0.0 * x"},
+    "beside a weight": {"bin_function": "1.0 / (1.0 + x * x)", "weight": "a * k / z", "weight.k": 2.0},
+    "huge": {"bin_function": "1e38 * (3.0 - abs(x))"},
+}
+
+
+@pytest.mark.parametrize("function", BIN_FUNCTIONS)
+@pytest.mark.parametrize("partition", ["none", "absorbance"])
+@pytest.mark.parametrize("storage", ["ll", "lr", "tiles"])
+def test_bin_functions_are_those_of_the_cpu(storage: str, partition: str, function: str) -> None:
+    scene = SCENES["squares"]
+    base = {"storage": "ll" if storage == "ll" else "lr", "partition": partition, "bins": 12}
+    params = base | BIN_FUNCTIONS[function]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        # the CPU need not ask for the shares of lone fragments
+        expected = oitlab.render(scene, "lwboit", params, skip=False)
+        path = "compute" if storage == "tiles" else "hardware"
+        got = oitlab.gpu.render(scene, "lwboit", params, path=path)
+    np.testing.assert_allclose(got.color, expected.color, rtol=0, atol=8 * tolerance(scene, expected))
+    assert got.stats.invalid_weights == expected.stats.invalid_weights
+    wrong = function in ("less than nothing", "numbers that are none", "nothing")
+    assert (got.stats.invalid_weights > 0) == wrong
+
+
+def test_bin_functions_that_are_callables_are_refused() -> None:
+    with pytest.raises(ValueError, match=r"a callable has no form on the backend .*written in WGSL"):
+        oitlab.render(SCENES["squares"], "lwboit", {"bin_function": lambda x: 1 - abs(x)}, backend="gpu")

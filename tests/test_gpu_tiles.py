@@ -9,8 +9,11 @@ import pytest
 import oitlab
 from gpu_scenes import (
     CLIPPED,
+    CONFORMS,
+    DECIDING,
     DEVICE,
     F32,
+    PARAMS,
     PERSPECTIVE,
     ROUNDINGS,
     SCENES,
@@ -34,8 +37,74 @@ BLENDED = (
     "wboit",
     "phenomenological",
 )
-STREAMED = ("mlab", "k_buffer", "multilayer_depth_peeling")
-TILED = BLENDED + STREAMED
+LAYERED = (
+    "mlab",
+    "k_buffer",
+    "multilayer_depth_peeling",
+    "z3",
+    "mlcb",
+    "adaptive_transparency",
+    "hybrid_transparency",
+    "avsm",
+)
+STREAMED = (
+    *LAYERED,
+    "mlab_buckets",
+    "a_buffer",
+    "slab",
+    "stochastic_transparency",
+    "screen_door",
+    "alpha_testing",
+)
+TWO_PASS = (
+    "opacity_shadow_maps",
+    "deep_opacity_maps",
+    "occupancy_maps",
+    "fourier_opacity_maps",
+    "tfm",
+    "wavelet",
+    "mboit_power",
+    "mboit_trig",
+)
+OTHERS = ("lwboit", "depth_peeling", "dual_depth_peeling", "continuum", "gs_wsr")
+TILED = (*BLENDED, *STREAMED, *TWO_PASS, *OTHERS)
+# what looks at all fragments of a pixel at once
+LISTS_ALONE = {"density_clustering", "deep_shadow_maps"}
+
+
+def test_every_technique_runs_in_tiles_or_says_why_not() -> None:
+    assert {entry.id for entry in oitlab.techniques()} - set(TILED) == LISTS_ALONE
+
+
+@pytest.mark.parametrize(
+    ("technique", "params"),
+    [
+        ("gs_wsr", {"variant": "linear"}),
+        ("gs_wsr", {"variant": "exp", "sigma": 0.3}),
+        ("slab", {"replay": "as_is"}),
+        ("depth_peeling", {"passes": 3, "early_out": True}),
+        ("dual_depth_peeling", {"passes": 2}),
+        ("multilayer_depth_peeling", {"layers": 20, "passes": 3}),
+        ("lwboit", {"storage": "ll", "range": "pixel"}),
+        ("stochastic_transparency", {"mode": "depth", "correction": "alpha", "samples": 40}),
+        ("slab", {"variant": "alpha", "accumulate": "stored", "layers": 2}),
+        ("screen_door", {"samples": 1000}),
+        ("avsm", {"nodes_format": "f32", "thickness": 0.2, "composite": "normalize"}),
+        ("wavelet", {"range": "pixel"}),
+        ("continuum", {"merge": "smallest_error", "accumulate": "all"}),
+        ("continuum", {"opacity": "coverage", "insertion": "stochastic", "merge": "discard_furthest"}),
+    ],
+)
+def test_params_in_tiles_are_those_of_the_cpu(technique: str, params: dict[str, Any]) -> None:
+    for name in ("squares", "blades"):
+        scene = SCENES[name]
+        got = oitlab.gpu.render(scene, technique, params, path="compute")
+        expected = oitlab.render(scene, technique, params)
+        # exponentials of depths, and sums of bins
+        limit = (8 if technique in ("gs_wsr", "lwboit") else 1) * tolerance(scene, expected)
+        # nodes as good as each other may change roles where depths are a unit in the last place apart
+        share = 1.0 if name == "squares" else 0.999
+        assert (np.abs(got.color - expected.color).max(axis=-1) <= limit).mean() >= share
 
 
 def on_paths(
@@ -45,9 +114,11 @@ def on_paths(
     return compute, oitlab.gpu.render(scene, technique, params)
 
 
-def agree(scene: oitlab.Scene, technique: str, params: dict[str, Any] | None = None) -> oitlab.Frame:
+def agree(
+    scene: oitlab.Scene, technique: str, params: dict[str, Any] | None = None, factor: float = 1.0
+) -> oitlab.Frame:
     got, expected = on_paths(scene, technique, params)
-    limit = tolerance(scene, expected)
+    limit = factor * tolerance(scene, expected)
     np.testing.assert_allclose(got.color, expected.color, rtol=0, atol=limit)
     np.testing.assert_allclose(got.transmittance, expected.transmittance, rtol=0, atol=limit)
     assert got.stats.fragments == expected.stats.fragments
@@ -57,11 +128,26 @@ def agree(scene: oitlab.Scene, technique: str, params: dict[str, Any] | None = N
 @pytest.mark.parametrize("technique", TILED)
 @pytest.mark.parametrize("name", SCENES)
 def test_images_are_those_of_the_other_path_and_of_the_cpu(name: str, technique: str) -> None:
-    scene = SCENES[name]
-    got = agree(scene, technique)
-    expected = oitlab.render(scene, technique)
+    scene, params = SCENES[name], PARAMS.get(technique, {})
+    if technique in CONFORMS:  # a product is added in one step or in two, which moments amplify
+        try:
+            got = oitlab.gpu.render(scene, technique, params, path="compute")
+        except RuntimeError as error:
+            # one invocation solves for all of a pixel's fragments
+            if name != "shells" or "ends loops before they are done" not in str(error):
+                raise
+            return
+    else:
+        # of bins that are blended by weights, those may be summed up another way than where they are layers
+        got = agree(scene, technique, params, factor=16 if technique == "lwboit" else 1)
+    expected = oitlab.render(scene, technique, params)
     varies = 4 * VARYING_COLOR if name in (*CLIPPED, "smooth", "masked") else 0.0
-    assert np.abs(got.color - expected.color).max() <= tolerance(scene, expected) + varies
+    limit = tolerance(scene, expected) + varies
+    most, worst = CONFORMS.get(technique, (limit, limit))
+    share = DECIDING.get(technique, 0.95 if technique in CONFORMS else 1.0)
+    off = np.abs(got.color - expected.color).max(axis=-1)
+    assert (off <= most).mean() >= share, (off.max(), most)
+    assert technique in DECIDING or off.max() <= worst, off.max()
     assert (got.technique, got.params, got.scene_hash) == (
         expected.technique,
         expected.params,
@@ -83,8 +169,8 @@ def test_coverage_is_that_of_the_cpu(name: str) -> None:
     np.testing.assert_array_equal((1 - got.transmittance) * 2**12, counts)
 
 
-@pytest.mark.parametrize("order", ["as_is", "reversed", "shuffled", "centroid"])
-@pytest.mark.parametrize("technique", ["alpha_compositing", "mlab", "k_buffer"])
+@pytest.mark.parametrize("order", ["as_is", "reversed", "shuffled", "centroid", "sorted", "back_to_front"])
+@pytest.mark.parametrize("technique", ["alpha_compositing", "mlab", "k_buffer", "z3", "mlab_buckets", "mlcb"])
 def test_orders_of_primitives_are_those_of_the_cpu(technique: str, order: str) -> None:
     scene = SCENES["blades" if technique == "alpha_compositing" else "squares"]
     params = {"submission_order": order, "seed": 3}
@@ -93,10 +179,11 @@ def test_orders_of_primitives_are_those_of_the_cpu(technique: str, order: str) -
     assert np.abs(got.color - expected.color).max() <= tolerance(scene, expected)
 
 
-@pytest.mark.parametrize("technique", STREAMED)
+@pytest.mark.parametrize("technique", LAYERED)
 def test_any_number_of_layers_is_kept(technique: str) -> None:
-    for layers in (1, 2, 5, 32):
-        agree(SCENES["squares"], technique, {"layers": layers})
+    least = {"avsm": 2, "adaptive_transparency": 2}
+    for layers in (least.get(technique, 1), 3, 5, 32):
+        agree(SCENES["squares"], technique, PARAMS.get(technique, {}) | {"layers": layers})
 
 
 @pytest.mark.parametrize("layout", ["listing3", "listing4", "monochrome"])
@@ -164,12 +251,29 @@ def test_calls_repeat_to_the_bit_and_say_how_long_they_took() -> None:
 @pytest.mark.parametrize(
     ("technique", "params", "message"),
     [
-        ("a_buffer", {}, 'what keeps lists of fragments has no form for "compute"'),
-        ("depth_peeling", {}, 'peeling has no form for "compute"; path="hardware" has one'),
-        ("multilayer_depth_peeling", {"layers": 33}, 'has no form for "compute"'),
+        (
+            "density_clustering",
+            {},
+            'what looks at all fragments of a pixel at once has no form for "compute"',
+        ),
+        ("deep_shadow_maps", {}, 'what looks at all fragments of a pixel at once has no form for "compute"'),
+        (
+            "depth_peeling",
+            {"color_format": "f16"},
+            'color_format="f16", which registers are not in, has no form',
+        ),
         ("wboit", {"format": "f16"}, 'accumulation_format="f16", which registers are not in, has no form'),
-        ("mlab", {"submission_order": "sorted"}, 'sorts fragments, which the path "compute"'),
-        ("fourier_opacity_maps", {}, 'this technique has no form for "compute"'),
+        (
+            "opacity_shadow_maps",
+            {"bins": 512},
+            "what keeps 513 numbers of a pixel, more than 512, has no form",
+        ),
+        (
+            "continuum",
+            {"memory": "unbounded", "merge": "none"},
+            "all fragments of a pixel at once has no form",
+        ),
+        ("tfm", {"project": "transmittance"}, "all fragments of a pixel at once has no form"),
     ],
 )
 def test_what_is_no_stream_of_fragments_is_refused(
@@ -180,7 +284,7 @@ def test_what_is_no_stream_of_fragments_is_refused(
 
 
 def test_paths_and_scenes_that_are_none_are_refused() -> None:
-    with pytest.raises(ValueError, match=re.escape('path: "tiles"; known: "hardware", "compute"')):
+    with pytest.raises(ValueError, match=re.escape('path: "tiles"; known: "hardware", "compute", "samples"')):
         oitlab.gpu.render(SCENES["blades"], "wboit", path="tiles")  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="scene must be a Scene, got int"):
         oitlab.gpu.render(3, "wboit")  # type: ignore[arg-type]

@@ -2,6 +2,7 @@
 
 from dataclasses import FrozenInstanceError
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -68,14 +69,14 @@ def test_every_citation_is_in_the_bibliography(entry: oitlab.TechniqueInfo) -> N
 
 @pytest.mark.parametrize("entry", TABLE, ids=TABLE.ids)
 def test_stated_defaults_and_resolved_params_give_the_default_image(
-    entry: oitlab.TechniqueInfo, small_scene: oitlab.Scene
+    entry: oitlab.TechniqueInfo, small_scene: oitlab.Scene, backend: Any
 ) -> None:
-    plain = oitlab.render(small_scene, entry.id)
+    plain = oitlab.render(small_scene, entry.id, backend=backend)
     stated = {param.name: param.default for param in entry.params if not is_derived(param)}
     assert stated == {name: plain.params[name] for name in stated}
     resolved = {name: value for name, value in plain.params.items() if value is not None}
     for params in (stated, resolved):
-        again = oitlab.render(small_scene, entry.id, params)
+        again = oitlab.render(small_scene, entry.id, params, backend=backend)
         assert again.params == plain.params
         np.testing.assert_array_equal(again.color, plain.color)
 
@@ -117,9 +118,11 @@ COST_PARAMS = {
 
 
 @pytest.mark.parametrize("entry", TABLE, ids=TABLE.ids)
-def test_the_cost_is_that_of_a_render(entry: oitlab.TechniqueInfo, small_scene: oitlab.Scene) -> None:
+def test_the_cost_is_that_of_a_render(
+    entry: oitlab.TechniqueInfo, small_scene: oitlab.Scene, backend: Any
+) -> None:
     for params in ({}, *COST_PARAMS.get(entry.id, [])):
-        stats = oitlab.render(small_scene, entry.id, params).stats
+        stats = oitlab.render(small_scene, entry.id, params, backend=backend).stats
         cost = entry.cost(
             params,
             depth_complexity_mean=stats.depth_complexity_mean,

@@ -62,6 +62,10 @@ class TestRows:
         assert math.isnan(row.factor)
         assert printed(Comparison(frame(image), (), (row,))).split()[-6] == "-"
 
+    def test_what_is_no_scene_is_refused(self):
+        with pytest.raises(ValueError, match="source must be a Scene or Fragments, got int"):
+            compare_techniques(3, [])
+
     def test_csv(self, tmp_path):
         result = comparison(
             random_image(1), random_image(2), reference=random_image(3), labels=["a", "b k=1,2"]

@@ -17,6 +17,8 @@ __all__ = [
     "build_features",
     "capture",
     "capture_gpu",
+    "check",
+    "check_gpu",
     "cost",
     "diagnose",
     "gpu_info",
@@ -175,6 +177,15 @@ def render_gpu(
     skip: bool,
     path: str,
 ) -> list[Frame]: ...
+def check(
+    source: Scene | Fragments, variants: list[tuple[str | CustomTechnique, dict[str, Any]]]
+) -> None: ...
+def check_gpu(
+    source: Scene | Fragments,
+    variants: list[tuple[str | CustomTechnique, dict[str, Any]]],
+    path: str,
+    asks_device: bool,
+) -> None: ...
 def capture_gpu(scene: Scene) -> Fragments: ...
 def gpu_info() -> dict[str, Any]: ...
 def diagnose(

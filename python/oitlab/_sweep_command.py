@@ -48,6 +48,12 @@ def add(commands: Any) -> None:
     command.add_argument(
         "--store", type=Path, metavar="FILE", help="keep finished rows there, and do not repeat them"
     )
+    command.add_argument(
+        "--backend",
+        default="cpu",
+        metavar="A,B",
+        help="cpu, gpu or cpu,gpu for rows of both; references are rendered on the cpu; default: cpu",
+    )
     command.add_argument("--workers", type=int, metavar="N", help="render in that many processes")
     command.add_argument("-o", "--output", type=Path, metavar="FILE.csv", help="default: print the table")
     command.set_defaults(run=run)
@@ -104,6 +110,7 @@ def _keywords(options: argparse.Namespace) -> dict[str, Any]:
         "group": options.group,
         "threads": options.threads,
         "store": options.store,
+        "backend": options.backend.split(","),
     }
 
 

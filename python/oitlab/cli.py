@@ -59,7 +59,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             sys.stdout.flush()
     except BrokenPipeError:  # the reader of our output went away: `oitlab techniques | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    except (ValueError, OSError, ImportError, MemoryError) as error:
+    except (ValueError, OSError, ImportError, MemoryError, RuntimeError) as error:
         print(f"oitlab: error: {str(error) or type(error).__name__}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
@@ -173,12 +173,13 @@ def _add_demo(commands: Any) -> None:
         "-o", "--output", type=Path, default=Path("out/demo"), metavar="FOLDER", help="default: out/demo"
     )
     add_size(command)
+    _add_backend(command)
     command.set_defaults(run=_demo)
 
 
 def _render(options: argparse.Namespace) -> None:
     from .metrics import compare
-    from .rendering import render_many
+    from .rendering import check_variants, render_many
 
     targets = _targets(options)
     params = dict(map(parse_param, options.param))
@@ -188,6 +189,7 @@ def _render(options: argparse.Namespace) -> None:
     if options.backend == "cpu":
         frame, *exact = render_many(scene, wanted + references, threads=options.threads)
     else:
+        check_variants(scene, references)
         (frame,) = render_many(scene, wanted, backend=options.backend, threads=options.threads)
         exact = render_many(scene, references, threads=options.threads)
     for target in targets:
@@ -262,9 +264,8 @@ def _demo(options: argparse.Namespace) -> None:
 
     size = {"width": options.width, "height": options.height}
     for name in ("squares", "torus_knot", "blades"):
-        comparison = _measured(
-            scenes.SCENES[name](**size), _all_techniques(), name, options.threads, "a_buffer"
-        )
+        scene, variants = scenes.SCENES[name](**size), _all_techniques(options.backend)
+        comparison = _measured(scene, variants, name, options.threads, "a_buffer", options.backend)
         _print_table(comparison, name)
         _write_folder(options.output, comparison, name, name)
 
@@ -285,8 +286,11 @@ def _measured(
 ) -> Comparison:
     from tqdm import tqdm
 
+    from .rendering import check_variants
     from .report import compare_techniques
 
+    check_variants(scene, [reference])
+    check_variants(scene, variants, backend)  # before there is a bar
     with tqdm(total=len(variants), desc=title, unit="technique", file=sys.stderr, leave=False) as bar:
 
         def advance(label: str) -> None:

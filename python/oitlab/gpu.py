@@ -101,11 +101,11 @@ def render(
     technique: str,
     params: Mapping[str, Any] | None = None,
     *,
-    path: Literal["hardware", "compute"] = "hardware",
+    path: Literal["hardware", "compute", "samples"] = "hardware",
     threads: int | None = None,
     skip: bool = True,
 ) -> Frame:
-    """One technique's image, drawn by the device's own raster or by one in compute.
+    """One technique's image, drawn by the device's own raster, by one in compute or by sample masks.
 
     Parameters
     ----------
@@ -115,19 +115,20 @@ def render(
         An id or alias of `oitlab.techniques()`.
     params : mapping, optional
         The technique's parameters, as `oitlab.render` takes them.
-    path : {"hardware", "compute"}
+    path : {"hardware", "compute", "samples"}
         "hardware" is what `oitlab.render(..., backend="gpu")` draws with: blend units, depth buffers, lists.
         "compute" sorts the primitives into tiles of 8 x 8 pixels and walks them in submission order, with
         what the technique keeps of a pixel in registers: no lists, no render targets while drawing. It is for
-        techniques that take fragments one by one (blended ones in f32, `mlab`, `k_buffer`,
-        `multilayer_depth_peeling` with up to 32 layers) and takes every order of whole primitives.
+        all techniques, with targets in f32, but those that look at all fragments of a pixel at once
+        (`density_clustering`, `deep_shadow_maps` ...). "samples" is for `stochastic_transparency`, whose
+        masks are then sample masks of the device's.
     threads, skip
         As in `oitlab.render`.
 
     Returns
     -------
     Frame
-        The same image on both paths but for rounding: both cover the same pixels.
+        The same image on all paths but for rounding: they cover the same pixels.
 
     Raises
     ------
@@ -153,7 +154,7 @@ def render(
     if not isinstance(scene, Scene):
         raise ValueError(f"scene must be a Scene, got {type(scene).__name__}")
     if not isinstance(path, str):
-        raise ValueError(f"path: {path!r}; known: 'hardware', 'compute'")
+        raise ValueError(f"path: {path!r}; known: 'hardware', 'compute', 'samples'")
     return _render(scene, [(technique, params)], "gpu", threads, skip, "float32", False, path)[0]
 
 

@@ -193,8 +193,7 @@ def _render(
     if isinstance(variants, str) or not isinstance(variants, Iterable):
         raise ValueError(f"variants must be an iterable of ids or (id, params), got {variants!r}")
     requested = [checked_variant(variant) for variant in variants]
-    if not isinstance(source, Scene | Fragments):
-        raise ValueError(f"source must be a Scene or Fragments, got {type(source).__name__}")
+    _check_source(source)
     _check_backend(backend, requested)
     diagnosed = flag(diagnostics, "diagnostics")
     options = _threads(threads), flag(skip, "skip"), _is_float64(dtype)
@@ -211,6 +210,41 @@ def _render(
         return frames
     found = _oitlab.diagnose(source._handle, jobs, options[0])
     return [_diagnosed(frame, images) for frame, images in zip(frames, found, strict=True)]
+
+
+def check_variants(
+    source: Scene | Fragments,
+    variants: Iterable[Variant],
+    backend: str = "cpu",
+    *,
+    asks_device: bool = True,
+) -> None:
+    """Refuse what `render_many` would refuse of variants before it draws anything.
+
+    Parameters
+    ----------
+    source : Scene or Fragments
+        What they are to be rendered of.
+    variants : iterable of (technique, params) or of technique ids
+        Of which nothing is rendered.
+    backend : {"cpu", "gpu"}
+        Where.
+    asks_device : bool
+        Whether the device of this process is asked for what it lacks, too; False needs no device.
+
+    Raises
+    ------
+    ValueError, RuntimeError
+        As `render`.
+    """
+    requested = [checked_variant(variant) for variant in variants]
+    _check_source(source)
+    _check_backend(backend, requested)
+    jobs = [(one.technique, one.params) for one in (bind(*variant) for variant in requested)]
+    if backend == "gpu":
+        _oitlab.check_gpu(source._handle, jobs, "hardware", asks_device)
+    else:
+        _oitlab.check(source._handle, jobs)
 
 
 @contextmanager
@@ -295,6 +329,11 @@ def bind(technique: str, params: dict[str, Any]) -> Bound:
         return Bound(technique, params)
     resolved = entry.definition.resolved(params)
     return Bound(entry.definition.bound(resolved), resolved, entry.definition)
+
+
+def _check_source(source: Any) -> None:
+    if not isinstance(source, Scene | Fragments):
+        raise ValueError(f"source must be a Scene or Fragments, got {type(source).__name__}")
 
 
 def _check_backend(backend: str, variants: Iterable[tuple[str, dict[str, Any]]]) -> None:

@@ -137,8 +137,9 @@ def compare_techniques(
 
     Raises
     ------
-    ValueError
-        Unknown technique or parameter, as in `render`.
+    ValueError, RuntimeError
+        Unknown technique or parameter, or what the backend does not do, as in `render`; before anything is
+        rendered.
 
     Examples
     --------
@@ -148,13 +149,16 @@ def compare_techniques(
     >>> [row.label for row in result.rows], result.rows[0].mse
     (['a_buffer', 'lwboit bins=16'], 0.0)
     """
-    from .rendering import render
+    from .rendering import check_variants, render
 
-    exact = render(scene, reference, threads=threads)
     wanted = [(technique, dict(params)) for technique, params in variants]
+    check_variants(scene, [reference])
+    check_variants(scene, wanted, backend)
+    exact = render(scene, reference, threads=threads)
     jobs = [*wanted, *_baseline(wanted)]
     frames: list[Frame] = []
-    for job, frame in zip(jobs, _rendered(scene, jobs, exact.stats.fragments, backend, threads), strict=True):
+    rendered = _rendered(scene, jobs, len(wanted), exact.stats.fragments, backend, threads)
+    for job, frame in zip(jobs, rendered, strict=True):
         frames.append(frame)
         if progress is not None:
             progress(label(*job))
@@ -187,6 +191,7 @@ def _baseline(wanted: Sequence[tuple[str, dict[str, Any]]]) -> list[tuple[str, d
 def _rendered(
     scene: Scene,
     jobs: list[tuple[str, dict[str, Any]]],
+    shown: int,
     fragments: int,
     backend: Literal["cpu", "gpu"],
     threads: int | None,
@@ -194,10 +199,12 @@ def _rendered(
     from .rendering import capture, render, render_many
 
     if backend == "gpu":
-        for technique, params in jobs:
+        for technique, params in jobs[:shown]:
             for _ in range(2):
                 frame = render(scene, technique, params, backend=backend, threads=threads)
             yield frame
+        # nobody asked for the others, which a device may lack something for
+        yield from render_many(scene, jobs[shown:], threads=threads)
         return
     if fragments > _CAPTURE_LIMIT:
         yield from render_many(scene, jobs, threads=threads)

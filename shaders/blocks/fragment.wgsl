@@ -78,6 +78,39 @@ fn place(@builtin(vertex_index) index: u32, @builtin(instance_index) first_outpu
     return placed_at(index / 3u, vec4f(position.x, -position.y, 0.5, 1.0), first_output);
 }
 
+// Around the whole pixels that a primitive covers; `is_inside` says which these are.
+@vertex
+fn place_around(@builtin(vertex_index) index: u32, @builtin(instance_index) first_output: u32) -> Placed {
+    let primitive = index / 3u;
+    let corners = primitives[primitive].corners;
+    let least = (min(min(corners[0], corners[1]), corners[2]) >> vec2u(8u)) - 1;
+    let most = (max(max(corners[0], corners[1]), corners[2]) >> vec2u(8u)) + 2;
+    // a right angle, the legs twice as long as the bounds
+    let corner = least + select(vec2i(0), 2 * (most - least), vec2u(index % 3u) == vec2u(1u, 2u));
+    let offset = vec2f(256 * corner - frame.viewport_center);
+    let position = offset / (256.0 * frame.half_viewport);
+    var placed = placed_at(primitive, vec4f(position.x, -position.y, 0.5, 1.0), first_output);
+    if placed.meta_data.w == 0u {
+        placed.meta_data.z = primitive;
+    }
+    return placed;
+}
+
+// Whether the triangle of what is drawn around has a pixel's centre inside; `is_seen` looks at other outlines.
+fn is_inside(placed: Placed, pixel: vec2u) -> bool {
+    if placed.meta_data.w > 0u {
+        return true;
+    }
+    let corners = primitives[placed.meta_data.z].corners;
+    let center = vec2i(pixel) * 256 + CENTER;
+    let is_right = vec3<bool>(
+        is_right_of(corners[0], corners[1], center),
+        is_right_of(corners[1], corners[2], center),
+        is_right_of(corners[2], corners[0], center),
+    );
+    return (is_right.x != is_right.y) != is_right.z;
+}
+
 fn placed_at(index: u32, position: vec4f, first_output: u32) -> Placed {
     let primitive = &primitives[index];
     var placed: Placed;
@@ -118,23 +151,26 @@ fn product_is_at_most(a: i32, b: i32, c: i32, d: i32) -> bool {
     return are_equal || left_is_less != left_is_negative;
 }
 
-// Whether a pixel's centre is to the right of an odd number of the outline's edges, which have their top in and their
-// bottom out.
+// Whether a point is to the right of an edge, or on it, which has its top in and its bottom out.
+fn is_right_of(a: vec2i, b: vec2i, point: vec2i) -> bool {
+    let upward = b.y < a.y;
+    let top = select(a, b, upward);
+    let bottom = select(b, a, upward);
+    if point.y < top.y || point.y >= bottom.y {
+        return false;
+    }
+    let edge = bottom - top;
+    let from_top = point - top;
+    return product_is_at_most(from_top.y, edge.x, from_top.x, edge.y);
+}
+
+// Whether a pixel's centre is to the right of an odd number of the outline's edges.
 fn outline_covers(first: u32, count: u32, pixel: vec2u) -> bool {
     let center = vec2i(pixel) * 256 + CENTER;
     var inside = false;
     for (var i = 0u; i < count; i++) {
-        let a = outlines[first + i];
-        let b = outlines[first + (i + 1u) % count];
-        let upward = b.y < a.y;
-        let top = select(a, b, upward);
-        let bottom = select(b, a, upward);
-        if top.y <= center.y && center.y < bottom.y {
-            let edge = bottom - top;
-            let from_top = center - top;
-            if product_is_at_most(from_top.y, edge.x, from_top.x, edge.y) {
-                inside = !inside;
-            }
+        if is_right_of(outlines[first + i], outlines[first + (i + 1u) % count], center) {
+            inside = !inside;
         }
     }
     return inside;
@@ -225,7 +261,23 @@ fn fragment_of(placed: Placed) -> Fragment {
     return fragment;
 }
 
-// Keys: the bits of the depth, which ascend with it, and the primitive.
+// Premultiplied.
+fn rgba(fragment: Fragment) -> vec4f {
+    return vec4f(fragment.color, fragment.alpha);
+}
+
+// Keys: the bits of the depth, which ascend with it, and the primitive. Adding zero makes -0 the 0 that it equals.
+fn key_of(fragment: Fragment) -> vec2u {
+    return vec2u(bitcast<u32>(fragment.depth + 0.0), fragment.primitive);
+}
+
+// The bits of a depth as a depth buffer has it; what is less than 2^-126 of the far plane is 0 there.
+fn window_bits(depth: f32, exponent: u32) -> u32 {
+    let bits = bitcast<i32>(depth + 0.0) - bitcast<i32>(exponent);
+    return u32(select(0, bits, bits >= LEAST_NORMAL));
+}
+const LEAST_NORMAL = 0x00800000;
+
 fn comes_before_by_depth(a: vec2u, b: vec2u) -> bool {
     return a.x < b.x || (a.x == b.x && a.y < b.y);
 }

@@ -19,6 +19,11 @@ struct Frame {
 @group(0) @binding(1) var opaque_depth: texture_2d<f32>;
 @group(0) @binding(2) var opaque_color: texture_2d<f32>;
 
+// Fragments of which a function of the user's own gave what is none, and those that were dropped.
+@group(0) @binding(4) var<storage, read_write> counters: array<atomic<u32>, 2>;
+const INVALID = 0u;
+const DROPPED = 1u;
+
 // Whether the image has opaque surfaces, as far as a pipeline knows.
 override has_opaque: bool = true;
 

@@ -26,9 +26,7 @@ fn insert_node(key: vec2u, fragment: vec4f) -> u32 {
 }
 
 fn insert_fragment(fragment: Fragment) {
-    // adding zero makes -0 the 0 that it equals
-    let key = vec2u(bitcast<u32>(fragment.depth + 0.0), fragment.primitive);
-    insert_node(key, vec4f(fragment.color, fragment.alpha));
+    insert_node(key_of(fragment), rgba(fragment));
 }
 
 // One node over another. What overflows is the largest number, so that an opaque node hides it, too.
@@ -71,6 +69,12 @@ fn composite_nodes(in_front: Node) -> Node {
 }
 
 const CLEAR = Node(vec2u(0u), vec3f(0.0), 1.0);
+
+// All nodes, and whatever is in front of them, over the background.
+fn store_nodes(id: vec3u, in_front: Node) {
+    let all = composite_nodes(in_front);
+    store(id, all.color + all.transmittance * background_at(pixel_of(id)), all.transmittance);
+}
 
 // The i-th fragment of a list in the order of submission, which may be the reverse of that of storage.
 fn place_in(list: vec2u, i: u32, backwards: u32) -> u32 {

@@ -12,6 +12,8 @@
 @group(2) @binding(4) var<storage, read_write> keys: array<vec2u>;
 // ... and its premultiplied colour
 @group(2) @binding(5) var<storage, read_write> colors: array<vec4f>;
+// per primitive: its place among those that are drawn, where they come in another order than that of their ids
+@group(2) @binding(6) var<storage, read_write> ranks: array<u32>;
 
 @fragment
 fn count_fragment(placed: Placed) -> @location(0) vec4f {
@@ -25,8 +27,7 @@ fn store_fragment(placed: Placed) -> @location(0) vec4f {
     let fragment = fragment_of(placed);
     let place = atomicAdd(&places[place_of(fragment.pixel)], 1u);
     if place < arrayLength(&keys) {
-        // adding zero makes -0 the 0 that it equals
-        keys[place] = vec2u(bitcast<u32>(fragment.depth + 0.0), fragment.primitive);
+        keys[place] = key_of(fragment);
         colors[place] = vec4f(fragment.color, fragment.alpha);
     }
     return vec4f(0.0);
@@ -86,12 +87,17 @@ fn list_of(pixel: vec2u) -> vec2u {
     return vec2u(atomicLoad(&places[place]) - count, count);
 }
 
-// Lists are sorted as they were submitted, in which order primitive ids ascend, not by depth.
-override by_submission: bool = false;
+// How lists are sorted: by depth, or as they were submitted, in which order primitive ids ascend, or by ranks.
+override sorting: u32 = 0;
+const BY_SUBMISSION = 1u;
+const BY_RANK = 2u;
 
 fn comes_before(a: vec2u, b: vec2u) -> bool {
-    if by_submission {
+    if sorting == BY_SUBMISSION {
         return a.y < b.y;
+    }
+    if sorting == BY_RANK {
+        return ranks[a.y] < ranks[b.y];
     }
     return comes_before_by_depth(a, b);
 }
@@ -167,6 +173,31 @@ fn sort_lists(@builtin(global_invocation_id) id: vec3u) {
     }
     if is_cut_short() {
         atomicOr(&counts[place_of(vec2u(id.x, frame.first_row + id.y))], UNSORTED);
+    }
+}
+
+// Of each list so many fragments that do something are kept, the first ones, or the last; the others become nothing.
+override list_capacity: u32 = 0xffffffff;
+override drops_backwards: bool = false;
+
+@compute @workgroup_size(8, 8)
+fn drop_fragments(@builtin(global_invocation_id) id: vec3u) {
+    if id.x >= frame.size.x || id.y >= frame.rows {
+        return;
+    }
+    let pixel = vec2u(id.x, frame.first_row + id.y);
+    let list = list_of(pixel);
+    var there = 0u;
+    for (var i = 0u; i < list.y; i++) {
+        let place = select(list.x + i, list.x + list.y - 1u - i, drops_backwards);
+        if any(colors[place] != vec4f(0.0)) {
+            there++;
+            colors[place] = select(vec4f(0.0), colors[place], there <= list_capacity);
+        }
+    }
+    atomicAdd(&counters[DROPPED], max(there, list_capacity) - list_capacity);
+    if is_cut_short() {
+        atomicOr(&counts[place_of(pixel)], UNSORTED);
     }
 }
 

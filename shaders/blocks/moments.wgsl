@@ -22,7 +22,7 @@ fn warped(interval: Interval, depth: f32) -> f32 {
 }
 
 fn total_absorbance(texel: vec2u) -> f32 {
-    return min(textureLoad(total_target, texel, 0).x, params.two_pass.largest_total);
+    return min(total_sum(texel), params.two_pass.largest_total);
 }
 
 fn total_at(texel: vec2u) -> f32 {

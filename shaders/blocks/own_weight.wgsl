@@ -1,4 +1,4 @@
-// A weight of the user's own, in the place of weight.wgsl: `own_value`, `own_is_lost` and `UNIFORMS` come with it.
+// A weight of the user's own, in the place of weight.wgsl: `own_value`, `own_is_lost` and `own_UNIFORMS` come with it.
 
 struct Weight {
     // weights see scale z + shift
@@ -7,11 +7,8 @@ struct Weight {
     // near far / (far - near) and 1 / far
     window_scale: f32,
     inverse_far: f32,
-    uniforms: array<vec4f, UNIFORMS>,
+    uniforms: array<vec4f, own_UNIFORMS>,
 }
-
-// fragments whose weight was none
-@group(0) @binding(4) var<storage, read_write> invalid_weights: atomic<u32>;
 
 fn weight_of(weight: Weight, depth: f32, alpha: f32) -> f32 {
     let z = max(weight.scale * depth + weight.shift, LEAST_DEPTH);
@@ -20,9 +17,7 @@ fn weight_of(weight: Weight, depth: f32, alpha: f32) -> f32 {
     // by its bits, since compilers may assume that there is no NaN: 0, negative, infinite or none
     let bits = bitcast<u32>(w);
     if own_is_lost() || bits == 0u || bits >= 0x7f800000u {
-        if is_first_part {
-            atomicAdd(&invalid_weights, 1u);
-        }
+        report_invalid();
         return LEAST_WEIGHT;
     }
     return clamp(w, LEAST_WEIGHT, MOST_WEIGHT);

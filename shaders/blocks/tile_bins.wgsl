@@ -106,7 +106,7 @@ fn bounds_of(index: u32) -> Cells {
     return Cells(vec2u(first), vec2u(end));
 }
 
-fn bounds_at(index: u32) -> Cells {
+fn pixel_bounds_at(index: u32) -> Cells {
     let packed = bounds[index];
     return Cells(vec2u(packed.x & 0xffffu, packed.x >> 16u), vec2u(packed.y & 0xffffu, packed.y >> 16u));
 }
@@ -232,7 +232,7 @@ fn fill_bins(
     workgroupBarrier();
     var cells = Cells(vec2u(0u), vec2u(0u));
     if index < tiling.primitives {
-        cells = bins_of(bounds_at(index));
+        cells = bins_of(pixel_bounds_at(index));
         mark_cells(cells, tiling.bin_columns, thread);
     }
     workgroupBarrier();
@@ -257,7 +257,7 @@ fn touched_by(entry: u32, bin: u32, at_hand: vec3u) -> Cells {
     if entry >= at_hand.y {
         return Cells(vec2u(0u), vec2u(0u));
     }
-    return tiles_of(bounds_at(bin_entries[at_hand.x + entry]), bin);
+    return tiles_of(pixel_bounds_at(bin_entries[at_hand.x + entry]), bin);
 }
 
 // From a bin to its tiles: a workgroup is a bin, which is gone through twice, chunk by chunk.

@@ -47,7 +47,7 @@ fn edge_function(p: vec2i, q: vec2i, center: vec2i) -> vec3i {
 }
 
 // Steps of a pixel are those of 256 sub-pixels, so that a 256th of the function, rounded down, has the same sign.
-fn prepare(index: u32, first_pixel: vec2u) -> Prepared {
+fn edges_of(index: u32, first_pixel: vec2u) -> Prepared {
     let primitive = &primitives[index];
     if (*primitive).outline_count > 0u {
         return Prepared(vec3i(0), vec3i(0), vec3i(0), index);
@@ -103,34 +103,19 @@ fn tile_of(tile: vec2u) -> u32 {
     return bin * side * side + (tile.y % side) * side + tile.x % side;
 }
 
-// A workgroup is a tile of the rows at hand.
-@compute @workgroup_size(TILE, TILE)
-fn draw_tiles(
-    @builtin(workgroup_id) group: vec3u,
-    @builtin(global_invocation_id) id: vec3u,
-    @builtin(local_invocation_id) local: vec3u,
-    @builtin(local_invocation_index) thread: u32,
-) {
-    if thread == 0u {
-        tile_at_hand = tiles[tile_of(group.xy)];
-    }
-    let at_hand = workgroupUniformLoad(&tile_at_hand);
-    let first_pixel = vec2u(group.x * TILE, frame.first_row + group.y * TILE);
-    let is_in_image = !is_outside(id);
-    let pixel = pixel_of(id);
-    let step = vec2i(local.xy);
-    if is_in_image {
-        begin(pixel);
-    }
-    for (var base = 0u; base < at_hand.y; base += AT_A_TIME) {
+// The tile's primitives, once; pixels that want its fragments meet them.
+fn walk_tile(first_pixel: vec2u, local: vec2u, thread: u32, entries: vec2u, wants: bool) {
+    let pixel = first_pixel + local;
+    let step = vec2i(local);
+    for (var base = 0u; base < entries.y; base += AT_A_TIME) {
         if thread < 2u {
             atomicStore(&touching[thread], 0u);
         }
         workgroupBarrier();
         var edges: Prepared;
         var touches = false;
-        if base + thread < at_hand.y {
-            edges = prepare(tile_entries[at_hand.x + base + thread], first_pixel);
+        if base + thread < entries.y {
+            edges = edges_of(tile_entries[entries.x + base + thread], first_pixel);
             touches = touches_tile(edges);
         }
         if touches {
@@ -144,15 +129,64 @@ fn draw_tiles(
         workgroupBarrier();
         for (var i = 0u; i < count; i++) {
             let values = prepared[i].at + prepared[i].x * step.x + prepared[i].y * step.y;
-            if is_in_image && all(values >= vec3i(0)) {
+            if wants && !is_done && all(values >= vec3i(0)) {
                 let placed = placed_at(prepared[i].index, vec4f(vec2f(pixel) + 0.5, 0.5, 1.0), 0u);
                 var fragment: Fragment;
                 if is_seen(placed, pixel, &fragment) {
-                    take(fragment);
+                    meet(fragment);
                 }
             }
         }
         workgroupBarrier();
+    }
+}
+
+// how many of the tile's pixels want another walk
+var<workgroup> wanting: atomic<u32>;
+var<workgroup> wanting_at_hand: u32;
+
+// Whether any pixel of the tile wants another walk.
+fn any_wants(wants: bool, thread: u32) -> bool {
+    if thread == 0u {
+        atomicStore(&wanting, 0u);
+    }
+    workgroupBarrier();
+    if wants {
+        atomicAdd(&wanting, 1u);
+    }
+    workgroupBarrier();
+    if thread == 0u {
+        wanting_at_hand = atomicLoad(&wanting);
+    }
+    return workgroupUniformLoad(&wanting_at_hand) > 0u;
+}
+
+// A workgroup is a tile of the rows at hand.
+@compute @workgroup_size(TILE, TILE)
+fn draw_tiles(
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(global_invocation_id) id: vec3u,
+    @builtin(local_invocation_id) local: vec3u,
+    @builtin(local_invocation_index) thread: u32,
+) {
+    if thread == 0u {
+        tile_at_hand = tiles[tile_of(group.xy)];
+    }
+    let entries = workgroupUniformLoad(&tile_at_hand);
+    let first_pixel = vec2u(group.x * TILE, frame.first_row + group.y * TILE);
+    let is_in_image = !is_outside(id);
+    if is_in_image {
+        begin(pixel_of(id));
+    }
+    var wants = is_in_image;
+    loop {
+        walk_tile(first_pixel, local.xy, thread, entries, wants);
+        if wants {
+            wants = wants_more();
+        }
+        if !any_wants(wants, thread) {
+            break;
+        }
     }
     if is_in_image {
         finish(id);

@@ -107,8 +107,7 @@ fn begin_core() {
 }
 
 // Adds a fragment of which `seen` is to be seen, if it is not stored or if all are added up.
-fn add_fragment(place: u32, depth: f32, seen: f32, is_stored: bool) {
-    let fragment = colors[place];
+fn add_fragment(fragment: vec4f, depth: f32, seen: f32, is_stored: bool) {
     net = with_fragment(net, 1.0, fragment);
     if params.second_pass != 0u {
         sums = with_fragment(sums, weight_seen(params.composite, seen), fragment);
@@ -141,30 +140,4 @@ fn store_core(id: vec3u, is_samples: bool) {
     } else {
         store(id, core_color + core.y * background, core.y);
     }
-}
-
-// No memory: functions of depth.
-@compute @workgroup_size(8, 8)
-fn resolve_functions(@builtin(global_invocation_id) id: vec3u) {
-    if is_outside(id) {
-        return;
-    }
-    let list = begin_pixel(id);
-    var all = NO_SUMS;
-    for (var place = list.x; place < list.x + list.y; place++) {
-        let fragment = colors[place];
-        var weight = 1.0;
-        if params.normalize != 0u {
-            weight = weight_of(params.weight, depth_in(keys[place]), fragment.a);
-        }
-        all = with_fragment(all, weight, fragment);
-    }
-    let background = background_at(pixel);
-    if params.normalize != 0u {
-        let texel = over_background(all, background);
-        store(id, texel.rgb, texel.a);
-        return;
-    }
-    let left = 1.0 - min(all.weighted.a, LARGEST);
-    store(id, min(all.weighted.rgb, vec3f(LARGEST)) + left * background, left);
 }

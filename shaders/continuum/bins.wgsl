@@ -49,14 +49,14 @@ fn resolve_bins(@builtin(global_invocation_id) id: vec3u) {
     let lost_first = list.x + count_stored(list);
     var lost = lost_first;
     while stored < lost_first || lost < end {
-        let is_stored = lost == end || (stored < lost_first && comes_before_by_depth(keys[stored], key_of(lost)));
+        let is_stored = lost == end || (stored < lost_first && comes_before_by_depth(keys[stored], unmarked_key(lost)));
         let place = select(lost, stored, is_stored);
-        let own = bin_of(key_of(place));
+        let own = bin_of(unmarked_key(place));
         if own != bin {
             end_bin();
             bin = own;
         }
-        add_fragment(place, depth_in(key_of(place)), core.y, is_stored);
+        add_fragment(colors[place], depth_in(unmarked_key(place)), core.y, is_stored);
         if is_stored {
             put_into_bin(place);
             stored++;

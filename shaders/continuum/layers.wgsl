@@ -195,8 +195,7 @@ fn insert_layer(at: u32, key: vec2u, color: vec3f, alpha: f32) {
     layer_count++;
 }
 
-fn receive(place: u32, flushed: u32) {
-    let key = keys[place];
+fn receive(key: vec2u, fragment: vec4f, flushed: u32) {
     var at = layer_count;
     while at > flushed && comes_before_by_depth(key, layers[at - 1u].key) {
         at--;
@@ -204,7 +203,6 @@ fn receive(place: u32, flushed: u32) {
     if params.merge == DISCARD_FURTHEST && at >= LAYERS {
         return;
     }
-    let fragment = colors[place];
     let covers_samples = params.covers_samples != 0u;
     let stored = as_stored(fragment);
     if covers_samples {
@@ -242,37 +240,43 @@ fn composite_layers() {
     core = vec2f(samples, clear_share() - samples) / clear_share();
 }
 
-@compute @workgroup_size(8, 8)
-fn resolve_layers(@builtin(global_invocation_id) id: vec3u) {
-    if is_outside(id) {
-        return;
-    }
-    let list = begin_pixel(id);
+// What has been flushed to the front counts as a layer, too.
+fn flushed_layers() -> u32 {
+    return u32(params.merge == OVER_NEAREST);
+}
+
+fn begin(at: vec2u) {
+    pixel = at;
     nearest_count = 0u;
-    let flushed = u32(params.merge == OVER_NEAREST);
     for (var i = 0u; i < LAYERS + 2u; i++) {
         layers[i].slot = i;
     }
     // nothing, in front of everything
     layers[0] = Layer(vec2u(0u), vec3f(0.0), vec2f(0.0, 1.0), 0u);
-    layer_count = flushed;
-    for (var i = 0u; i < list.y; i++) {
-        let place = place_in(list, i, params.backwards);
-        if !is_nothing(colors[place]) {
-            receive(place, flushed);
-        }
-    }
+    layer_count = flushed_layers();
     begin_core();
-    if params.second_pass != 0u || params.normalize != 0u {
-        for (var place = list.x; place < list.x + list.y; place++) {
-            var in_front = 0u;
-            while in_front < layer_count && comes_before_by_depth(layers[in_front].key, keys[place]) {
-                in_front++;
-            }
-            let is_stored = in_front < layer_count && all(layers[in_front].key == keys[place]);
-            add_fragment(place, depth_in(keys[place]), shown_behind(in_front), is_stored);
-        }
+}
+
+// The first walk fills the layers; the second adds up what they let be seen.
+fn take(fragment: Fragment) {
+    if walk == 0u {
+        receive(key_of(fragment), rgba(fragment), flushed_layers());
+        return;
     }
+    let key = key_of(fragment);
+    var in_front = 0u;
+    while in_front < layer_count && comes_before_by_depth(layers[in_front].key, key) {
+        in_front++;
+    }
+    let is_stored = in_front < layer_count && all(layers[in_front].key == key);
+    add_fragment(rgba(fragment), fragment.depth, shown_behind(in_front), is_stored);
+}
+
+fn again() -> bool {
+    return walk == 0u && (params.second_pass != 0u || params.normalize != 0u);
+}
+
+fn finish(id: vec3u) {
     composite_layers();
     store_core(id, false);
 }

@@ -127,7 +127,7 @@ fn count_stored(list: vec2u) -> u32 {
     return count;
 }
 
-fn key_of(place: u32) -> vec2u {
+fn unmarked_key(place: u32) -> vec2u {
     return vec2u(keys[place].x & ~LOST, keys[place].y);
 }
 
@@ -189,15 +189,15 @@ fn resolve_lists(@builtin(global_invocation_id) id: vec3u) {
     // both are in the order of depth
     while stored < lost_first || lost < end {
         let seen = core.y;
-        if lost == end || (stored < lost_first && comes_before_by_depth(keys[stored], key_of(lost))) {
+        if lost == end || (stored < lost_first && comes_before_by_depth(keys[stored], unmarked_key(lost))) {
             let bin = bin_of(keys[stored]) + 1u;
             let is_kept = params.merge != DISCARD_OCCUPIED || bin != occupied;
             occupied = bin;
             let shows = is_kept && put_behind(stored);
-            add_fragment(stored, depth_in(keys[stored]), seen, is_kept && (shows || !is_samples));
+            add_fragment(colors[stored], depth_in(keys[stored]), seen, is_kept && (shows || !is_samples));
             stored++;
         } else {
-            add_fragment(lost, depth_in(key_of(lost)), seen, false);
+            add_fragment(colors[lost], depth_in(unmarked_key(lost)), seen, false);
             lost++;
         }
     }

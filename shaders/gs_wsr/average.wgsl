@@ -1,5 +1,5 @@
 // Weighted sum rendering (Hou et al. 2025): the average of all fragments and of the background, weighted by depth. This part
-// has the weights and the average; beside it is a part for the blend unit, and one for lists.
+// has the weights and the average; beside it is a part for the blend unit, and one for walks.
 
 struct Params {
     // 0: every fragment weighs 1; 1: exp(-sigma z^gamma); 2: max(0, 1 - z / sigma) gain

@@ -1,10 +1,13 @@
 
 // The blend unit adds up.
 
+fn accumulate_texels(fragment: Fragment) -> array<vec4f, 1> {
+    return array<vec4f, 1>(weight_at(fragment.depth, params.sigma) * rgba(fragment));
+}
+
 @fragment
 fn accumulate(placed: Placed) -> @location(0) vec4f {
-    let fragment = fragment_of(placed);
-    return weight_at(fragment.depth, params.sigma) * vec4f(fragment.color, fragment.alpha);
+    return accumulate_texels(fragment_of(placed))[0];
 }
 
 @group(2) @binding(0) var accumulation: texture_2d<f32>;

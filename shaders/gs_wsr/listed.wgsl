@@ -1,26 +1,30 @@
 
-// A pixel's weights depend on the mean depth of its list, which is walked twice.
+// A pixel's weights depend on the mean depth of its fragments, which takes a walk.
+var<private> count: f32;
+var<private> depths: f32;
+var<private> sums: vec4f;
+
+fn begin(pixel: vec2u) {
+    count = 0.0;
+    depths = 0.0;
+    sums = vec4f(0.0);
+}
 
 // With twice the mean depth of the pixel for sigma.
-@compute @workgroup_size(8, 8)
-fn resolve_lists(@builtin(global_invocation_id) id: vec3u) {
-    if is_outside(id) {
+fn take(fragment: Fragment) {
+    if walk == 0u {
+        count += 1.0;
+        depths += fragment.depth;
         return;
     }
-    let list = list_of(pixel_of(id));
-    var count = 0.0;
-    var depths = 0.0;
-    for (var place = list.x; place < list.x + list.y; place++) {
-        if any(colors[place] != vec4f(0.0)) {
-            count += 1.0;
-            depths += bitcast<f32>(keys[place].x);
-        }
-    }
-    let sigma = 2.0 * (depths / max(count, 1.0));
-    var sums = vec4f(0.0);
-    for (var place = list.x; place < list.x + list.y; place++) {
-        sums += weight_at(bitcast<f32>(keys[place].x), sigma) * colors[place];
-    }
+    sums += weight_at(fragment.depth, 2.0 * (depths / count)) * rgba(fragment);
+}
+
+fn again() -> bool {
+    return walk == 0u;
+}
+
+fn finish(id: vec3u) {
     let average = average_at(pixel_of(id), min(sums, vec4f(LARGEST)));
     store(id, average.rgb, average.a);
 }

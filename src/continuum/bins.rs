@@ -119,13 +119,21 @@ pub fn share_out(function: &BinFunction, xs: &[f64], shares: &mut Shares) {
 }
 
 #[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
+#[expect(
+    clippy::redundant_closure,
+    reason = "takes on the instruction set, which a function's name does not"
+)]
 fn share_bells(xs: &[f64], shares: &mut Shares) {
-    share_with(xs, shares, bell);
+    share_with(xs, shares, |x| bell(x));
 }
 
 #[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
+#[expect(
+    clippy::redundant_closure,
+    reason = "takes on the instruction set, which a function's name does not"
+)]
 fn share_tents(xs: &[f64], shares: &mut Shares) {
-    share_with(xs, shares, tent);
+    share_with(xs, shares, |x| tent(x));
 }
 
 /// The shares of fragment `i`.

@@ -1,7 +1,7 @@
 //! The accumulator of blended techniques: weighted sums and a product, as render targets hold them.
 
 use crate::fragments::List;
-use crate::technique::{Finished, Resolved};
+use crate::technique::{FinishedPixels, Resolved};
 use crate::weight::Weighting;
 use glam::{DVec3, Vec3, Vec4};
 use multiversion::multiversion;
@@ -158,47 +158,34 @@ pub struct SumsOf<'a> {
 
 impl SumsOf<'_> {
     /// [`BlendSums::over`] for all pixels: its arithmetic, operation by operation.
-    pub fn over(&self, out: &mut Vec<Finished>) {
-        out.resize(self.background.len(), [0.0; 4]);
-        self.find_shares(out);
-        self.cover(out);
-    }
-
-    /// What to multiply the sum of colours with, (1 − R) / Σ w a or nothing, and R. They wait in the first and the last
-    /// channel.
-    fn find_shares(&self, out: &mut [Finished]) {
-        find_shares(self.weighted, self.transmittance, self.coverage, out);
-    }
-
-    fn cover(&self, out: &mut [Finished]) {
-        cover(self.weighted, self.background, out);
+    pub fn over(&self, out: &mut FinishedPixels) {
+        out.resize(self.background.len());
+        over(*self, out.planes_mut());
     }
 }
 
 #[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
-fn find_shares(weighted: &[[f32; 4]], transmittance: &[f64], coverage: &[f64], out: &mut [Finished]) {
-    for (((sums, t), coverage), out) in weighted.iter().zip(transmittance).zip(coverage).zip(out) {
-        let alpha = f64::from(if sums[3] < f32::MAX { sums[3] } else { f32::MAX });
-        let covers = alpha > 0.0;
-        let of_average = precise_coverage(*t, *coverage) / alpha;
-        out[0] = if covers { of_average } else { 0.0 };
-        out[3] = *t;
-    }
-}
-
-/// The fourth channel comes out as the background's share.
-#[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
-fn cover(weighted: &[[f32; 4]], background: &[[f32; 3]], out: &mut [Finished]) {
+fn over(sums: SumsOf<'_>, [r, g, b, share]: [&mut [f64]; 4]) {
+    // slices of one length need no checks, and the loop becomes one of vectors across the pixels
+    let pixels = sums.background.len();
+    let (weighted, background) = (&sums.weighted[..pixels], &sums.background[..pixels]);
+    let (transmittance, coverage) = (&sums.transmittance[..pixels], &sums.coverage[..pixels]);
+    let (r, g, b, share) = (&mut r[..pixels], &mut g[..pixels], &mut b[..pixels], &mut share[..pixels]);
+    let finite = |sum: f32| f64::from(if sum < f32::MAX { sum } else { f32::MAX });
     let largest = f64::from(f32::MAX);
-    for ((sums, background), out) in weighted.iter().zip(background).zip(out) {
-        let (share, t) = (out[0], out[3]);
-        let color = [sums[0], sums[1], sums[2], 0.0];
-        let behind = [background[0], background[1], background[2], 1.0];
-        for channel in 0..4 {
-            let sum = f64::from(if color[channel] < f32::MAX { color[channel] } else { f32::MAX });
-            let blended = share * sum + t * f64::from(behind[channel]);
-            out[channel] = if blended < largest { blended } else { largest };
-        }
+    for i in 0..pixels {
+        let ([red, green, blue, alpha], t) = (weighted[i], transmittance[i]);
+        let alpha = finite(alpha);
+        let of_average = precise_coverage(t, coverage[i]) / alpha;
+        let of_sums = if alpha > 0.0 { of_average } else { 0.0 };
+        let blend = |sum: f32, behind: f32| {
+            let blended = of_sums * finite(sum) + t * f64::from(behind);
+            if blended < largest { blended } else { largest }
+        };
+        r[i] = blend(red, background[i][0]);
+        g[i] = blend(green, background[i][1]);
+        b[i] = blend(blue, background[i][2]);
+        share[i] = t;
     }
 }
 
@@ -219,7 +206,7 @@ pub trait Blended: Send + Sync {
 
     /// The same for many pixels, each over its background, in place of what `out` has; those without fragments
     /// are background alone.
-    fn finish_all(&self, pixels: &SumsOf<'_>, out: &mut Vec<Finished>) {
+    fn finish_all(&self, pixels: &SumsOf<'_>, out: &mut FinishedPixels) {
         finish_each(self, pixels, out);
     }
 
@@ -241,9 +228,9 @@ pub trait Blended: Send + Sync {
 }
 
 /// [`Blended::finish`] pixel by pixel.
-pub fn finish_each<T: Blended + ?Sized>(technique: &T, pixels: &SumsOf<'_>, out: &mut Vec<Finished>) {
-    out.clear();
-    out.extend(pixels.background.iter().enumerate().map(|(i, &background)| {
+pub fn finish_each<T: Blended + ?Sized>(technique: &T, pixels: &SumsOf<'_>, out: &mut FinishedPixels) {
+    out.resize(pixels.background.len());
+    for (i, &background) in pixels.background.iter().enumerate() {
         let count = pixels.counts[i];
         let sums = BlendSums {
             weighted: Vec4::from(pixels.weighted[i]),
@@ -255,8 +242,8 @@ pub fn finish_each<T: Blended + ?Sized>(technique: &T, pixels: &SumsOf<'_>, out:
             0 => Resolved::background(background),
             _ => technique.finish(&sums.read(count as usize), background),
         };
-        resolved.color.extend(resolved.transmittance.x).to_array()
-    }));
+        out.set(i, resolved.color.extend(resolved.transmittance.x).to_array());
+    }
 }
 
 /// `coverage color + transmittance background`, finite in f32 also where fragments that emit without covering

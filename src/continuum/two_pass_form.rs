@@ -5,8 +5,10 @@ use super::oracle::Composite;
 use super::range::DepthRange;
 use crate::error::Result;
 use crate::format::{Formats, Target};
+use crate::gpu::form::blocks::{TWO_PASS_STREAM, TWO_PASS_TARGETS};
 use crate::gpu::form::{
-    Blend, BlendTarget, Blending, Draw, Form, Number, Path, SHARES, SUMS, only, target_format,
+    Blend, BlendTarget, Blending, Draw, Form, Number, Path, Registers, SHARES, SUMS, Streaming, only,
+    target_format,
 };
 use crate::params::{Params, View};
 
@@ -107,11 +109,31 @@ pub fn two_pass_form(params: &Params, view: &View, own: &Own<'_>) -> Result<Form
             resolve: "resolve",
             over_background: false,
             blocks: own.blocks,
+            targets_block: TWO_PASS_TARGETS,
+            by_depth: None,
+            in_registers: Some(registers(own, finds_bounds, layers)),
             words: own.words,
         }),
         shows_zero_fragments: false,
         colored_transmittance: false,
     })
+}
+
+/// Map and sums of a pixel in registers.
+fn registers(own: &Own<'_>, finds_bounds: bool, layers: u32) -> Registers {
+    let has_total = u32::from(own.total.is_some());
+    let words = own.words.max(1);
+    let sizes = vec![
+        ("FINDS_BOUNDS", finds_bounds.into()),
+        ("MAP_LAYERS", layers),
+        ("HAS_TOTAL", has_total),
+        ("MAP_WORDS", words),
+    ];
+    let all = layers.saturating_mul(4).saturating_add(has_total + words);
+    Registers {
+        block: TWO_PASS_STREAM,
+        stream: Streaming::in_any_order().of_sizes(sizes).in_walks().of_words(all),
+    }
 }
 
 /// How sums meet the background, as shaders number it.

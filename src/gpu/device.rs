@@ -4,8 +4,8 @@ use crate::error::{Error, Result};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 use wgpu::{
-    Adapter, AdapterInfo, Device, DownlevelFlags, ErrorFilter, Features, Instance, InstanceDescriptor,
-    Limits, PollType, PowerPreference, Queue, RequestAdapterOptions, SubmissionIndex,
+    Adapter, AdapterInfo, Backends, Device, DownlevelFlags, ErrorFilter, Features, Instance,
+    InstanceDescriptor, Limits, PollType, PowerPreference, Queue, RequestAdapterOptions, SubmissionIndex,
 };
 
 /// What is used where an adapter has it.
@@ -56,6 +56,7 @@ impl Connection {
     /// # Errors
     /// [`Error::Gpu`] if there is none, or one that cannot do what every technique needs.
     pub fn new() -> Result<Self> {
+        std::env::var(BACKENDS).ok().as_deref().map_or(Ok(()), check_backends)?;
         let instance = Instance::new(InstanceDescriptor::new_without_display_handle_from_env());
         let adapter = pollster::block_on(choose(&instance))?;
         let info = adapter.get_info();
@@ -165,9 +166,27 @@ fn capped(mut limits: Limits) -> Result<Limits> {
     Ok(limits)
 }
 
+/// Which interfaces to drivers wgpu may use; it ignores names that it does not know.
+const BACKENDS: &str = "WGPU_BACKEND";
+
+/// Refuses a `WGPU_BACKEND` that names what is no interface, or none that this build has.
+fn check_backends(names: &str) -> Result<()> {
+    let built = Instance::enabled_backend_features();
+    let is_known = |name: &str| !Backends::from_comma_list(name).is_empty();
+    if names.split(',').all(is_known) && Backends::from_comma_list(names).intersects(built) {
+        return Ok(());
+    }
+    let all = [("vulkan", Backends::VULKAN), ("dx12", Backends::DX12), ("metal", Backends::METAL)];
+    let there: Vec<_> = all.iter().filter(|(_, one)| built.contains(*one)).map(|(name, _)| *name).collect();
+    Err(Error::Gpu(format!(
+        "the environment has {BACKENDS}={names:?}; allowed are, between commas, {}, all of which are tried without it",
+        there.join(", ")
+    )))
+}
+
 async fn choose(instance: &Instance) -> Result<Adapter> {
     if let Ok(name) = std::env::var("WGPU_ADAPTER_NAME") {
-        let adapters = instance.enumerate_adapters(wgpu::Backends::all()).await;
+        let adapters = instance.enumerate_adapters(Backends::all()).await;
         let names = adapters.iter().map(|adapter| adapter.get_info().name).collect::<Vec<_>>().join(", ");
         let wanted =
             |adapter: &Adapter| adapter.get_info().name.to_lowercase().contains(&name.to_lowercase());
@@ -179,8 +198,8 @@ async fn choose(instance: &Instance) -> Result<Adapter> {
     }
     let options =
         RequestAdapterOptions { power_preference: PowerPreference::HighPerformance, ..Default::default() };
-    instance
-        .request_adapter(&options)
-        .await
-        .map_err(|error| Error::Gpu(format!("no adapter: {error}; {HOW_TO_GET_A_DRIVER}")))
+    instance.request_adapter(&options).await.map_err(|error| {
+        let limited = std::env::var(BACKENDS).map(|names| format!("; {BACKENDS}={names:?} allows no others"));
+        Error::Gpu(format!("no adapter: {error}{}; {HOW_TO_GET_A_DRIVER}", limited.unwrap_or_default()))
+    })
 }

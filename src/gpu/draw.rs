@@ -27,6 +27,8 @@ pub struct Image {
     pub times: Times,
     /// Fragments whose weight of somebody's own was no weight.
     pub invalid_weights: u64,
+    /// Fragments beyond the capacity.
+    pub dropped: u64,
 }
 
 impl Image {
@@ -41,8 +43,8 @@ impl Image {
 pub struct Gpu {
     pub connection: Connection,
     pub layouts: Layouts,
-    /// Where shaders count fragments whose weight is none.
-    invalid_weights: Buffer,
+    /// Where shaders count fragments whose weight is none, and those that are dropped.
+    counters: Buffer,
     /// What was drawn into last.
     pub(super) kept: Kept,
 }
@@ -93,8 +95,8 @@ impl Gpu {
     pub fn new(connection: Connection) -> Self {
         let layouts = Layouts::new(&connection.device);
         let usage = BufferUsages::STORAGE | BufferUsages::COPY_SRC;
-        let invalid_weights = buffer(&connection, "invalid weights", 4, usage);
-        Self { connection, layouts, invalid_weights, kept: Kept::default() }
+        let counters = buffer(&connection, "counters", 8, usage);
+        Self { connection, layouts, counters, kept: Kept::default() }
     }
 
     /// What shaders know of the image, some of its rows and the technique's params.
@@ -123,7 +125,7 @@ impl Gpu {
                 BindingResource::TextureView(&picture.opaque_depth),
                 BindingResource::TextureView(&picture.opaque_color),
                 params.as_entire_binding(),
-                self.invalid_weights.as_entire_binding(),
+                self.counters.as_entire_binding(),
             ],
         )
     }
@@ -140,8 +142,8 @@ impl Gpu {
         raster: RasterPath,
         stop: Stop<'_>,
     ) -> Result<Image> {
-        if form.counts_invalid_weights() {
-            self.connection.queue.write_buffer(&self.invalid_weights, 0, &[0; 4]);
+        if form.counts() {
+            self.connection.queue.write_buffer(&self.counters, 0, &[0; 8]);
         }
         let mut image = match &form.path {
             _ if raster == RasterPath::Compute => self.tiled(picture, form, stop),
@@ -154,17 +156,14 @@ impl Gpu {
                 ];
                 self.listed(picture, form, ("resolve_stream", stream.sorted), &constants, stop)
             }
+            Path::Sampled(sampling) => self.sampled(picture, form, sampling, stop),
             Path::Peeled(peeling) => self.peeled(picture, form, peeling, stop),
         }?;
-        if form.counts_invalid_weights() {
-            image.invalid_weights = self.count_invalid_weights(stop)?;
+        if form.counts() {
+            let (counts, _) = Recorder::new(&self.connection, stop).finish::<u32>(&self.counters, 8)?;
+            [image.invalid_weights, image.dropped] = [counts[0].into(), counts[1].into()];
         }
         Ok(image)
-    }
-
-    fn count_invalid_weights(&self, stop: Stop<'_>) -> Result<u64> {
-        let (count, _) = Recorder::new(&self.connection, stop).finish::<u32>(&self.invalid_weights, 4)?;
-        Ok(count.iter().map(|&n| u64::from(n)).sum())
     }
 
     pub(super) fn most_bytes(&self) -> u64 {

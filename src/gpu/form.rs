@@ -1,14 +1,16 @@
 //! What a technique is on a GPU, as data: its shader, its render targets and how the blend unit works on them, or that
 //! it wants every fragment. Forms know no device, so the registry can say what has one in any build.
 
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::format::{Format, Formats, Target};
 use crate::params::{Params, View};
 
+mod streams;
 mod targets;
 pub mod tiled;
 
-pub use targets::{Blend, BlendTarget, Blending, Draw, SHARES, SUMS, target_format};
+pub use streams::{Capacity, Sampling, Sorting, Streaming, submission};
+pub use targets::{Blend, BlendTarget, Blending, Draw, Registers, SHARES, SUMS, target_format};
 
 /// A technique's entry in the registry: makes its form under params, or refuses params that have none.
 pub type MakeForm = fn(&Params, &View) -> Result<Form>;
@@ -44,6 +46,13 @@ impl WeightModule {
     pub fn published(formula: u32) -> Self {
         let text = format!("const WEIGHT_FORMULA = {formula}u;\n{WEIGHT}");
         Self { text, counts_invalid: false }
+    }
+
+    /// The same beside other functions, of which one may give what is none.
+    pub fn with(mut self, text: &str, counts_invalid: bool) -> Self {
+        self.text.push_str(text);
+        self.counts_invalid |= counts_invalid;
+        self
     }
 
     /// One of somebody's own, whose text has what `own_weight.wgsl` calls.
@@ -115,27 +124,8 @@ pub enum Path {
     Streamed(Streaming),
     /// Layer by layer, in as many passes over the geometry as there are.
     Peeled(Peeling),
-}
-
-/// What a technique that takes fragments one by one wants of them, besides that there be any. Lists hand them over where
-/// there are lists.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Streaming {
-    /// How many layers a pixel keeps, for shaders that keep `LAYERS`.
-    pub layers: u32,
-    /// Whether it depends on the order in which they come.
-    pub is_ordered: bool,
-    /// How lists are sorted, ...
-    pub sorted: Sorting,
-    /// ... and whether they are read from their end.
-    pub backwards: bool,
-}
-
-impl Streaming {
-    /// One that keeps layers.
-    pub fn of_layers(layers: u32, is_ordered: bool) -> Self {
-        Self { layers, is_ordered, sorted: Sorting::Depth, backwards: false }
-    }
+    /// Into samples of a multisampled depth buffer, by masks.
+    Sampled(Sampling),
 }
 
 /// Passes over the geometry, each of which sees what the last one has left: the frontier.
@@ -186,34 +176,6 @@ pub struct Listing {
     pub sizes: Vec<(&'static str, u32)>,
 }
 
-/// An order of lists.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Sorting {
-    /// By (depth, primitive), nearest first.
-    Depth,
-    /// As the fragments were submitted.
-    Submission,
-}
-
-/// The order in which a technique is handed a pixel's fragments: how lists are sorted for it, and whether they are read from
-/// their end.
-///
-/// # Errors
-/// `Error::Param` for orders that lists are not sorted in.
-pub fn submission(params: &Params) -> Result<(Sorting, Number)> {
-    match params.text("submission_order") {
-        "as_is" => Ok((Sorting::Submission, Number::Whole(0))),
-        "reversed" => Ok((Sorting::Submission, Number::Whole(1))),
-        "sorted" => Ok((Sorting::Depth, Number::Whole(0))),
-        "back_to_front" => Ok((Sorting::Depth, Number::Whole(1))),
-        other => {
-            let problem = format!("submission_order={other:?} has no form on the backend \"gpu\" for lists");
-            Err(params
-                .error(problem, "there it is one of \"as_is\", \"reversed\", \"sorted\", \"back_to_front\""))
-        }
-    }
-}
-
 /// Layers that a shader keeps per pixel, at most: they are in registers, where there is little room.
 pub const MOST_LAYERS: u32 = 32;
 
@@ -250,6 +212,7 @@ const DOUBLE: &str = include_str!("../../shaders/blocks/double.wgsl");
 const FRAGMENT: &str = include_str!("../../shaders/blocks/fragment.wgsl");
 const WEIGHT_BOUNDS: &str = include_str!("../../shaders/blocks/weight_bounds.wgsl");
 const WEIGHT: &str = include_str!("../../shaders/blocks/weight.wgsl");
+const INVALID: &str = include_str!("../../shaders/blocks/invalid.wgsl");
 const OWN_WEIGHT: &str = include_str!("../../shaders/blocks/own_weight.wgsl");
 const RESOLVE: &str = include_str!("../../shaders/blocks/resolve.wgsl");
 const LISTS: &str = include_str!("../../shaders/blocks/lists.wgsl");
@@ -270,6 +233,10 @@ pub mod blocks {
     pub const OUTPUTS: &str = include_str!("../../shaders/blocks/outputs.wgsl");
     /// A map of transmittance, and all fragments seen through it.
     pub const TWO_PASS: &str = include_str!("../../shaders/blocks/two_pass.wgsl");
+    /// ... in render targets, ...
+    pub const TWO_PASS_TARGETS: &str = include_str!("../../shaders/blocks/two_pass_targets.wgsl");
+    /// ... or in registers.
+    pub const TWO_PASS_STREAM: &str = include_str!("../../shaders/blocks/two_pass_stream.wgsl");
     /// A map of coefficients.
     pub const COEFFICIENTS: &str = include_str!("../../shaders/blocks/coefficients.wgsl");
     /// A map of moments.
@@ -278,7 +245,12 @@ pub mod blocks {
     pub const BINS: &str = include_str!("../../shaders/blocks/bins.wgsl");
 }
 const STREAM: &str = include_str!("../../shaders/blocks/stream.wgsl");
+const WALKS: &str = include_str!("../../shaders/blocks/walks.wgsl");
+/// In place of a technique's own `again`.
+const ONE_WALK: &str = "fn again() -> bool { return false; }";
 const TILE_BINS: &str = include_str!("../../shaders/blocks/tile_bins.wgsl");
+const TILE_STREAM: &str = include_str!("../../shaders/blocks/tile_stream.wgsl");
+const TILE_WINDOW: &str = include_str!("../../shaders/blocks/tile_window.wgsl");
 const TILES: &str = include_str!("../../shaders/blocks/tiles.wgsl");
 const BACKGROUND: &str = include_str!("../../shaders/blocks/background.wgsl");
 
@@ -318,47 +290,85 @@ pub fn masking(params: &Params, name: &str, stratified: bool) -> [Number; 4] {
     [saturated(params.size(name)), Number::Whole(stratified.into()), low, high]
 }
 
-impl Listing {
-    fn constants(&self) -> String {
-        let layers = self.layers.map(|count| ("LAYERS", count));
-        let all = layers.iter().chain(&self.sizes);
-        all.map(|(name, size)| format!("const {name} = {size}u;\n")).collect::<Vec<_>>().concat()
+/// What a shader keeps, as its constants.
+fn constants(layers: Option<u32>, sizes: &[(&'static str, u32)]) -> String {
+    let layers = layers.map(|count| ("LAYERS", count));
+    let all = layers.iter().chain(sizes);
+    all.map(|(name, size)| format!("const {name} = {size}u;\n")).collect::<Vec<_>>().concat()
+}
+
+/// The blocks that lists and streams may use, some of which want such constants.
+fn blocks_of_fragments(layers: Option<u32>, sizes: &[(&'static str, u32)]) -> Vec<&'static str> {
+    let mut blocks = vec![RANDOM, CHANCE, ABSORBANCE, SUMS_OF_LISTS];
+    if layers.is_some() {
+        blocks.push(LAYERS);
     }
+    if sizes.iter().any(|(name, _)| *name == MASK_WORDS) {
+        blocks.push(MASKS);
+    }
+    blocks
 }
 
 impl Form {
-    /// Whether its weight may give what is none.
-    pub fn counts_invalid_weights(&self) -> bool {
-        self.weight.as_ref().is_some_and(|weight| weight.counts_invalid)
+    /// Whether its weight may give what is none, or fragments may be dropped.
+    pub fn counts(&self) -> bool {
+        self.weight.as_ref().is_some_and(|weight| weight.counts_invalid) || self.capacity().is_some()
+    }
+
+    /// How many fragments of a pixel there may be, if there is a limit.
+    pub fn capacity(&self) -> Option<Capacity> {
+        match &self.path {
+            Path::Streamed(stream) => stream.capacity,
+            _ => None,
+        }
+    }
+
+    fn weight_parts(&self) -> Vec<&str> {
+        self.weight.iter().flat_map(|weight| [INVALID, weight.text.as_str()]).collect()
+    }
+
+    /// The same by sample masks.
+    ///
+    /// # Errors
+    /// `Error::Argument` for what has no such form.
+    pub fn by_samples(self) -> Result<Self> {
+        if let Path::Streamed(Streaming { by_samples: Some(sampling), .. }) = self.path {
+            return Ok(Self { shader: sampling.shader, path: Path::Sampled(sampling), ..self });
+        }
+        let problem = "what has no masks of samples has no form for \"samples\"; path=\"hardware\" has one";
+        Err(Error::argument("path", problem))
     }
 
     /// The shader with the blocks that it may use.
     pub fn module(&self) -> String {
         let mut parts = vec![FRAME, DOUBLE, FRAGMENT, WEIGHT_BOUNDS];
-        parts.extend(self.weight.iter().map(|weight| weight.text.as_str()));
+        parts.extend(self.weight_parts());
         parts.extend([SHARES_OF_LAYERS, RESOLVE]);
-        let constants;
+        let sized;
         match &self.path {
             Path::Blended(blending) => {
                 parts.push(BACKGROUND);
                 parts.extend(blending.blocks);
+                parts.push(blending.targets_block);
             }
-            Path::Listed(listing) => {
-                constants = listing.constants();
-                parts.extend([LISTS, RANDOM, CHANCE, ABSORBANCE, SUMS_OF_LISTS, &constants]);
-                if listing.layers.is_some() {
-                    parts.push(LAYERS);
-                }
-                if listing.sizes.iter().any(|(name, _)| *name == MASK_WORDS) {
-                    parts.push(MASKS);
-                }
+            Path::Listed(Listing { layers, sizes, .. }) => {
+                sized = constants(*layers, sizes);
+                parts.extend([LISTS, &sized]);
+                parts.extend(blocks_of_fragments(*layers, sizes));
             }
             Path::Streamed(stream) => {
-                constants = format!("const LAYERS = {}u;", stream.layers);
-                parts.extend([LISTS, constants.as_str(), LAYERS, STREAM]);
+                sized = constants(stream.layers, &stream.sizes);
+                parts.extend([LISTS, &sized]);
+                parts.extend(stream.blocks());
+                parts.push(STREAM);
             }
-            // params may ask for lists instead, which are in the same file
-            Path::Peeled(_) => parts.extend([BACKGROUND, LISTS]),
+            Path::Sampled(sampling) => {
+                sized = constants(None, &sampling.sizes);
+                parts.extend([BACKGROUND, &sized]);
+                parts.extend(blocks_of_fragments(None, &sampling.sizes));
+            }
+            // params may ask for a stream instead, which is in the same file
+            Path::Peeled(_) => parts.extend([BACKGROUND, LISTS, WALKS]),
         }
         parts.push(self.shader);
         parts.join("\n")

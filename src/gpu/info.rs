@@ -67,16 +67,28 @@ fn describe(connection: &Connection) -> Info {
     Info { texts, features, limits, techniques: Vec::new(), refused: Vec::new() }
 }
 
+impl Connection {
+    /// Refuses a form that the device has no targets for.
+    ///
+    /// # Errors
+    /// [`crate::Error::Argument`] for formats, layers and the like that it lacks.
+    pub fn fits(&self, form: &Form) -> Result<()> {
+        match &form.path {
+            Path::Blended(blending) => self.target_formats(blending).map(drop),
+            Path::Listed(_) | Path::Streamed(_) => Ok(()),
+            Path::Sampled(sampling) => {
+                sampling.sums.iter().try_for_each(|sum| self.target_format(sum).map(drop))
+            }
+            Path::Peeled(peeling) => self.peeling_formats(peeling).map(drop),
+        }
+    }
+}
+
 /// Why the device does not run a technique with its default params; none if it does.
 fn why_not(connection: &Connection, technique: &technique::Info) -> Option<String> {
     let Some(make) = technique.gpu else { return Some("has no GPU form yet".to_owned()) };
     let table = technique.param_table();
     let form: Result<Form> = check(technique.id, &table, &[])
         .and_then(|checked| make(&checked.resolve(&table, &View::ORDINARY), &View::ORDINARY));
-    let fits = form.and_then(|form| match &form.path {
-        Path::Blended(blending) => connection.target_formats(blending).map(drop),
-        Path::Listed(_) | Path::Streamed(_) => Ok(()),
-        Path::Peeled(peeling) => connection.peeling_formats(peeling).map(drop),
-    });
-    fits.err().map(|error| error.to_string())
+    form.and_then(|form| connection.fits(&form)).err().map(|error| error.to_string())
 }

@@ -11,8 +11,8 @@ use wgpu::{
     BindGroupLayout, BindGroupLayoutDescriptor, BindGroupLayoutEntry, BindingType, BlendComponent,
     BlendFactor, BlendOperation, BlendState, BufferBindingType, ColorTargetState, ColorWrites,
     ComputePipeline, DepthStencilState, Device, Features, RenderPipeline, ShaderModule, ShaderStages,
-    StorageTextureAccess, TextureFormat, TextureFormatFeatureFlags, TextureSampleType, TextureUsages,
-    TextureViewDimension,
+    StorageTextureAccess, TextureFormat, TextureFormatFeatureFlags, TextureFormatFeatures, TextureSampleType,
+    TextureUsages, TextureViewDimension,
 };
 
 /// Everything that is made once per device.
@@ -30,6 +30,8 @@ pub struct Layouts {
     pub peeled_keys: BindGroupLayout,
     /// See [`Layouts::peeled_keys`].
     pub peeled_depths: BindGroupLayout,
+    /// Group 2 of whoever looks at samples: their depths, and the primitives that they show.
+    pub samples: BindGroupLayout,
     /// Group 2 of the raster in compute that writes no textures.
     pub tiles: BindGroupLayout,
     /// Group 3: the image.
@@ -107,6 +109,17 @@ const WORDS: BindingType = BindingType::Texture {
     multisampled: false,
 };
 
+const SAMPLE_DEPTHS: BindingType = BindingType::Texture {
+    sample_type: TextureSampleType::Depth,
+    view_dimension: TextureViewDimension::D2,
+    multisampled: true,
+};
+const SAMPLE_WORDS: BindingType = BindingType::Texture {
+    sample_type: TextureSampleType::Uint,
+    view_dimension: TextureViewDimension::D2,
+    multisampled: true,
+};
+
 /// Group 2 of the raster in compute: what it bins, and the textures that it writes.
 pub fn tile_entries(textures: &[TextureFormat]) -> Vec<BindGroupLayoutEntry> {
     let in_compute =
@@ -124,11 +137,37 @@ pub fn tile_entries(textures: &[TextureFormat]) -> Vec<BindGroupLayoutEntry> {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Draws {
     /// Primitives, of which this is known.
-    Primitives { perspective: bool, zero_fragments: bool, opaque: bool, traits: Traits },
+    Primitives(Known),
+    /// The same with so many samples at a time: into them, or of what is shown by them.
+    Samples { count: u32, covers: bool, known: Known },
     /// The whole image.
     Background,
     /// The same, from render targets.
     Image { opaque: bool, targets_are_whole: bool },
+}
+
+/// What is known of primitives.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Known {
+    pub perspective: bool,
+    pub zero_fragments: bool,
+    pub opaque: bool,
+    pub traits: Traits,
+}
+
+impl Known {
+    fn constants(self) -> Vec<(&'static str, f64)> {
+        let Self { perspective, zero_fragments, opaque, traits } = self;
+        vec![
+            ("perspective", flag(perspective)),
+            ("shows_zero_fragments", flag(zero_fragments)),
+            ("has_opaque", flag(opaque)),
+            ("has_outlines", flag(traits.outlines)),
+            ("has_slopes", flag(traits.slopes)),
+            ("has_varying_colors", flag(traits.varying_colors)),
+            ("has_zero_fragments", flag(traits.zero_fragments)),
+        ]
+    }
 }
 
 impl Draws {
@@ -141,18 +180,20 @@ impl Draws {
                     vec![("has_opaque", flag(opaque)), ("targets_are_whole", flag(targets_are_whole))];
                 ("cover_all", constants)
             }
-            Self::Primitives { perspective, zero_fragments, opaque, traits } => {
-                let constants = vec![
-                    ("perspective", flag(perspective)),
-                    ("shows_zero_fragments", flag(zero_fragments)),
-                    ("has_opaque", flag(opaque)),
-                    ("has_outlines", flag(traits.outlines)),
-                    ("has_slopes", flag(traits.slopes)),
-                    ("has_varying_colors", flag(traits.varying_colors)),
-                    ("has_zero_fragments", flag(traits.zero_fragments)),
-                ];
-                ("place", constants)
+            Self::Primitives(known) => ("place", known.constants()),
+            Self::Samples { count, covers, known } => {
+                let mut constants = known.constants();
+                constants.push(("samples_at_a_time", count.into()));
+                (if covers { "place_around" } else { "place" }, constants)
             }
+        }
+    }
+
+    /// Samples per pixel of what is drawn into.
+    fn samples(self) -> u32 {
+        match self {
+            Self::Samples { count, covers: true, .. } => count,
+            _ => 1,
         }
     }
 }
@@ -190,9 +231,10 @@ impl Layouts {
             geometry: layout("geometry", &[0, 1, 2].map(|binding| entry(binding, buffer(READ)))),
             targets: HashMap::new(),
             tiles: layout("tiles", &tile_entries(&[])),
-            lists: layout("lists", &[0, 1, 2, 3, 4, 5].map(written)),
+            lists: layout("lists", &[0, 1, 2, 3, 4, 5, 6].map(written)),
             peeled_keys: layout("peeled keys", &[entry(0, WORDS), entry(1, TEXTURE), in_fragments(2)]),
             peeled_depths: layout("peeled depths", &[entry(0, TEXTURE), entry(1, TEXTURE), in_fragments(2)]),
+            samples: layout("samples", &[entry(0, SAMPLE_DEPTHS), entry(1, SAMPLE_WORDS)]),
             output: layout("output", &[written(0)]),
             modules: HashMap::new(),
             renders: HashMap::new(),
@@ -265,7 +307,7 @@ impl Layouts {
         let module = self.module(device, shader.module);
         let groups = match draws {
             Draws::Background | Draws::Image { .. } => [Some(&self.frame), None, third],
-            Draws::Primitives { .. } => [Some(&self.frame), Some(&self.geometry), third],
+            Draws::Primitives(_) | Draws::Samples { .. } => [Some(&self.frame), Some(&self.geometry), third],
         };
         let used = groups.iter().rposition(Option::is_some).map_or(0, |last| last + 1);
         let groups = &groups[..used];
@@ -291,7 +333,7 @@ impl Layouts {
             },
             primitive: wgpu::PrimitiveState::default(),
             depth_stencil: depth,
-            multisample: wgpu::MultisampleState::default(),
+            multisample: wgpu::MultisampleState { count: draws.samples(), ..Default::default() },
             fragment: Some(wgpu::FragmentState {
                 module: &module,
                 entry_point: Some(shader.point),
@@ -395,6 +437,15 @@ fn missing(target: &BlendTarget, features: Features) -> &'static str {
 }
 
 impl Connection {
+    /// What the device does with a format.
+    pub fn format_features(&self, format: TextureFormat) -> TextureFormatFeatures {
+        if self.features.contains(Features::TEXTURE_ADAPTER_SPECIFIC_FORMAT_FEATURES) {
+            self.adapter.get_texture_format_features(format)
+        } else {
+            format.guaranteed_format_features(self.features)
+        }
+    }
+
     /// The format of a target on this device.
     ///
     /// # Errors
@@ -402,12 +453,7 @@ impl Connection {
     pub fn target_format(&self, target: &BlendTarget) -> Result<TextureFormat> {
         let format = texture_format(target.format, target.channels);
         let fits = |format: &TextureFormat| {
-            let all = self.features.contains(Features::TEXTURE_ADAPTER_SPECIFIC_FORMAT_FEATURES);
-            let of = if all {
-                self.adapter.get_texture_format_features(*format)
-            } else {
-                format.guaranteed_format_features(self.features)
-            };
+            let of = self.format_features(*format);
             self.features.contains(format.required_features())
                 && of
                     .allowed_usages

@@ -2,8 +2,8 @@
 
 use super::device::Connection;
 use super::draw::{Gpu, Image, Stop, attachment, dispatch, draw_primitives, group, resolve};
-use super::form::{Form, Sorting, list_module};
-use super::layouts::{Entry, Layouts, Reads, plain};
+use super::form::{Capacity, Form, Sorting, list_module};
+use super::layouts::{Entry, Layouts, Reads, flag, plain};
 use super::picture::{Given, Picture, buffer, bytes_of, texture};
 use super::recorder::{Recorder, Stage, read};
 use crate::error::{Error, Result};
@@ -51,7 +51,7 @@ impl Gpu {
         let places = storage("places", picture.counts.size());
         let (row_sums, row_places) = (storage("row sums", 8 * rows), storage("row places", 4 * rows));
         let (keys, colors) = (storage("keys", KEY * fragments), storage("colors", COLOR * fragments));
-        let all = [&picture.counts, &places, &row_sums, &row_places, &keys, &colors];
+        let all = [&picture.counts, &places, &row_sums, &row_places, &keys, &colors, &picture.ranks];
         let group = group(&self.connection, &self.layouts.lists, &all.map(Buffer::as_entire_binding));
         ListBuffers { group, places, row_sums, row_places, keys, colors }
     }
@@ -78,6 +78,10 @@ impl Gpu {
             match &picture.given {
                 Some(given) => lists.fill(connection, given, picture, band),
                 None => draw_lists(connection, layouts, &mut recorder, picture, groups, band)?,
+            }
+            if let Some(capacity) = form.capacity() {
+                sort_lists(connection, layouts, &mut recorder, picture, groups, band, capacity.sorted)?;
+                drop_fragments(connection, layouts, &mut recorder, picture, groups, band, capacity)?;
             }
             sort_lists(connection, layouts, &mut recorder, picture, groups, band, sorted)?;
             let entry = Entry { module: &module, point };
@@ -227,9 +231,32 @@ fn sort_lists(
     }
     let module = list_module();
     let entry = |point| Entry { module: &module, point };
-    let by_submission = [("by_submission", f64::from(u8::from(sorting == Sorting::Submission)))];
-    let sort = layouts.compute(&connection.device, entry("sort_lists"), Reads::Lists, false, &by_submission);
+    let sorting = match sorting {
+        Sorting::Depth => 0.0,
+        Sorting::Submission => 1.0,
+        Sorting::Rank => 2.0,
+    };
+    let constants = [("sorting", sorting)];
+    let sort = layouts.compute(&connection.device, entry("sort_lists"), Reads::Lists, false, &constants);
     dispatch(recorder, Stage::Resolve, &sort, &groups, picture, band)
+}
+
+/// Leaves as many fragments of each list as there may be.
+fn drop_fragments(
+    connection: &Connection,
+    layouts: &mut Layouts,
+    recorder: &mut Recorder<'_>,
+    picture: &Picture,
+    groups: [&BindGroup; 2],
+    band: &Range<u32>,
+    capacity: Capacity,
+) -> Result<()> {
+    let module = list_module();
+    let entry = Entry { module: &module, point: "drop_fragments" };
+    let constants =
+        [("list_capacity", capacity.fragments.into()), ("drops_backwards", flag(capacity.backwards))];
+    let pipeline = layouts.compute(&connection.device, entry, Reads::Lists, false, &constants);
+    dispatch(recorder, Stage::Resolve, &pipeline, &groups, picture, band)
 }
 
 /// How many fragments each pixel and each row has, and where in its row each pixel's go.

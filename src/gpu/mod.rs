@@ -27,6 +27,8 @@ mod picture;
 #[cfg(feature = "gpu")]
 mod recorder;
 #[cfg(feature = "gpu")]
+mod samples;
+#[cfg(feature = "gpu")]
 mod shared;
 #[cfg(feature = "gpu")]
 mod tiles;
@@ -34,6 +36,6 @@ mod tiles;
 #[cfg(feature = "gpu")]
 pub use info::{Info, info};
 #[cfg(feature = "gpu")]
-pub(crate) use picture::{Given, Opaque, View};
+pub(crate) use picture::{Given, Opaque, View, check_size};
 #[cfg(feature = "gpu")]
 pub(crate) use shared::{Key, Shared, with_gpu};

@@ -163,7 +163,8 @@ impl<'a> Peeler<'a> {
             Ends::Nearest => (vec![frontier, layer], &self.sums[0]),
             Ends::Both => (vec![frontier, keep(&self.sums[0]), layer], &self.sums[1]),
         };
-        recorder.render_with_depth(Stage::Raster, &targets, self.depth.as_ref(), |pass| {
+        let depth = self.depth.as_ref().map(|view| (view, StoreOp::Discard));
+        recorder.render_with_depth(Stage::Raster, &targets, depth, |pass| {
             pass.set_pipeline(&self.peel);
             pass.set_bind_group(0, frame, &[]);
             pass.set_bind_group(2, &self.peel_groups[last], &[]);
@@ -190,6 +191,17 @@ impl<'a> Peeler<'a> {
     }
 }
 
+/// A depth buffer in which of equals the first one stays.
+pub(super) fn ends_ties_by_order(format: TextureFormat) -> DepthStencilState {
+    DepthStencilState {
+        format,
+        depth_write_enabled: Some(true),
+        depth_compare: Some(CompareFunction::Less),
+        stencil: wgpu::StencilState::default(),
+        bias: wgpu::DepthBiasState::default(),
+    }
+}
+
 /// The pipelines of passes over the geometry and over the image.
 fn pipelines(
     connection: &Connection,
@@ -208,14 +220,7 @@ fn pipelines(
         Ends::Nearest => (vec![frontier, plain(layer, ColorWrites::ALL)], &sums[0]),
         Ends::Both => (vec![frontier, sums[0].clone(), blended(&far_layers(), layer)], &sums[1]),
     };
-    let depth = (peeling.ends == Ends::Nearest).then(|| DepthStencilState {
-        format: DEPTH_BUFFER,
-        depth_write_enabled: Some(true),
-        // of equals the first one stays
-        depth_compare: Some(CompareFunction::Less),
-        stencil: wgpu::StencilState::default(),
-        bias: wgpu::DepthBiasState::default(),
-    });
+    let depth = (peeling.ends == Ends::Nearest).then(|| ends_ties_by_order(DEPTH_BUFFER));
     let module = form.module();
     let entry = |point| Entry { module: &module, point };
     let draws = picture.draws(form.shows_zero_fragments);

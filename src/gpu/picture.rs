@@ -2,7 +2,7 @@
 
 use super::device::Connection;
 use super::geometry::{Packed, Traits, Viewport};
-use super::layouts::{Draws, Layouts, flag};
+use super::layouts::{Draws, Known, Layouts, flag};
 use super::tiles::Planned;
 use crate::error::{Error, Result};
 use crate::raster::{Drawn, Rect};
@@ -59,6 +59,8 @@ pub struct Picture {
     pub batches: Vec<(BindGroup, u32)>,
     /// Fragments per pixel, a `u32` each.
     pub counts: Buffer,
+    /// The places of primitives in the order in which they are drawn, by their ids, where that is not the order of ids.
+    pub ranks: Buffer,
     /// Fragments of each row, and of its deepest pixel; empty until they have been counted.
     pub rows: Vec<[u32; 2]>,
     /// Fragments that are there already, instead of primitives.
@@ -126,16 +128,38 @@ fn uploaded<T: bytemuck::Pod>(
     texture.create_view(&wgpu::TextureViewDescriptor::default())
 }
 
+/// The places of primitives in the order in which they come, by their ids.
+#[derive(Debug, Default)]
+struct Ranks {
+    places: Vec<u32>,
+    count: u32,
+}
+
+impl Ranks {
+    /// The next one.
+    fn add(&mut self, primitive: u32) {
+        let id = primitive as usize;
+        if self.places.len() <= id {
+            self.places.resize(id + 1, 0);
+        }
+        self.places[id] = self.count;
+        self.count += 1;
+    }
+}
+
 impl Picture {
-    /// Takes a scene to the device, its primitives in the order in which they come.
+    /// Takes a scene to the device, its primitives in the order in which they come. They have `ranks` if that is not the order
+    /// of their ids.
     ///
     /// # Errors
-    /// [`Error::Argument`] for an image beyond the device's limits.
+    /// [`Error::Argument`] for an image beyond the device's limits, [`Error::Memory`] for more ranks than one of its buffers
+    /// holds.
     pub fn new<'a>(
         connection: &Connection,
         layouts: &Layouts,
         view: &View,
         primitives: impl Iterator<Item = Drawn<'a>>,
+        ranked: bool,
     ) -> Result<Self> {
         let (width, height) = (view.width, view.height);
         check_size(connection, width, height)?;
@@ -162,12 +186,20 @@ impl Picture {
             ),
             batches: Vec::new(),
             counts: buffer(connection, "counts", 4 * pixels, BufferUsages::STORAGE | BufferUsages::COPY_SRC),
+            ranks: buffer(connection, "no ranks", 4, BufferUsages::STORAGE),
             rows: Vec::new(),
             given: None,
             plan: Planned::new(),
             bytes: 4 * pixels + if view.opaque.is_some() { 20 * pixels } else { 0 },
         };
+        let mut ranks = Ranks::default();
+        let primitives = primitives.inspect(|drawn| {
+            if ranked {
+                ranks.add(drawn.primitive);
+            }
+        });
         picture.add_primitives(connection, layouts, primitives);
+        picture.add_ranks(connection, &ranks.places)?;
         Ok(picture)
     }
 
@@ -181,12 +213,31 @@ impl Picture {
         view: &View,
         given: Given,
     ) -> Result<Self> {
-        let mut picture = Self::new(connection, layouts, view, std::iter::empty())?;
+        let mut picture = Self::new(connection, layouts, view, std::iter::empty(), false)?;
         connection.queue.write_buffer(&picture.counts, 0, bytes_of(&given.counts));
         let row = |counts: &[u32]| [counts.iter().sum(), counts.iter().copied().max().unwrap_or(0)];
         picture.rows = given.counts.chunks(view.width as usize).map(row).collect();
         picture.given = Some(given);
         Ok(picture)
+    }
+
+    fn add_ranks(&mut self, connection: &Connection, ranks: &[u32]) -> Result<()> {
+        let (bytes, limits) = (4 * ranks.len() as u64, &connection.limits);
+        let most = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
+        if bytes > most {
+            return Err(Error::Memory(format!(
+                "the order of {} primitives; {} keeps that of {}: submission_order=\"as_is\" and \"reversed\" need none",
+                ranks.len(),
+                connection.info.name,
+                most / 4
+            )));
+        }
+        if bytes > 0 {
+            self.ranks = buffer(connection, "ranks", bytes, BufferUsages::STORAGE);
+            connection.queue.write_buffer(&self.ranks, 0, bytes_of(ranks));
+            self.bytes += bytes;
+        }
+        Ok(())
     }
 
     /// Primitives in as many draw calls as buffers of the device's largest size take.
@@ -245,8 +296,13 @@ impl Picture {
 
     /// What a pipeline that draws its primitives has to know.
     pub fn draws(&self, zero_fragments: bool) -> Draws {
+        Draws::Primitives(self.known(zero_fragments))
+    }
+
+    /// What is known of its primitives.
+    pub fn known(&self, zero_fragments: bool) -> Known {
         let Self { perspective, has_opaque: opaque, traits, .. } = *self;
-        Draws::Primitives { perspective, zero_fragments, opaque, traits }
+        Known { perspective, zero_fragments, opaque, traits }
     }
 
     /// The constants of a pipeline that makes its image.
@@ -262,7 +318,10 @@ impl Picture {
 }
 
 /// Refuses images that the device has no textures or buffers for.
-fn check_size(connection: &Connection, width: u32, height: u32) -> Result<()> {
+///
+/// # Errors
+/// [`Error::Argument`] that says how large they may be.
+pub fn check_size(connection: &Connection, width: u32, height: u32) -> Result<()> {
     let limits = &connection.limits;
     let most = limits.max_texture_dimension_2d;
     for (name, extent) in [("width", width), ("height", height)] {

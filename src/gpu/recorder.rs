@@ -99,12 +99,12 @@ impl<'a> Recorder<'a> {
         &mut self,
         stage: Stage,
         attachments: &[Option<RenderPassColorAttachment<'_>>],
-        depth: Option<&TextureView>,
+        depth: Option<(&TextureView, StoreOp)>,
         record: impl FnOnce(&mut RenderPass<'_>),
     ) -> Result<()> {
-        let depth = depth.map(|view| RenderPassDepthStencilAttachment {
+        let depth = depth.map(|(view, store)| RenderPassDepthStencilAttachment {
             view,
-            depth_ops: Some(Operations { load: LoadOp::Clear(1.0), store: StoreOp::Discard }),
+            depth_ops: Some(Operations { load: LoadOp::Clear(1.0), store }),
             stencil_ops: None,
         });
         let first = self.next(stage);

@@ -109,7 +109,8 @@ impl Shared {
         stop: &(dyn Fn() -> bool + Sync),
     ) -> Result<()> {
         let Gpu { connection, layouts, .. } = &mut self.gpu;
-        let mut picture = Picture::new(connection, layouts, view, primitives)?;
+        let mut picture =
+            Picture::new(connection, layouts, view, primitives, key.order != SubmissionOrder::AsIs)?;
         self.gpu.count(&mut picture, stop)?;
         self.keep(key, picture, range);
         Ok(())

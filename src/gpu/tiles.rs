@@ -273,11 +273,15 @@ impl Gpu {
             return Err(Error::argument("path", problem));
         }
         let plan = self.plan(picture, stop)?;
-        let (_, constants) = picture.draws(form.shows_zero_fragments).vertex();
+        let (_, mut constants) = picture.draws(form.shows_zero_fragments).vertex();
+        constants.extend(form.is_backwards_in_tiles().then_some(("backwards", 1.0)));
+        constants.extend(form.capacity().map(|capacity| ("capacity", capacity.fragments.into())));
         let layout = self.layouts.tiles.clone();
         let drawing = Drawing { module: &module, constants, layout, textures: &[], image: None };
         match &form.path {
-            Path::Blended(blending) => self.tiled_targets(picture, form, blending, plan, drawing, stop),
+            Path::Blended(blending) if blending.in_registers.is_none() => {
+                self.tiled_targets(picture, form, blending, plan, drawing, stop)
+            }
             _ => self.tiled_image(picture, form, plan, drawing, stop),
         }
     }

@@ -16,7 +16,7 @@ mod source;
 
 pub use batch::in_batches;
 pub use program::{MAX_ITERATIONS, Program};
-pub use shader::{PREFIX, TURNS};
+pub use shader::{Call, callable, vectors};
 pub use source::{MAX_TEXT, Source};
 
 use crate::error::Result;

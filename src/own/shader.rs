@@ -1,6 +1,6 @@
 //! A function as part of a shader: its module under names that meet no others, its loops with an end.
 
-use super::MAX_ITERATIONS;
+use super::{MAX_ITERATIONS, Source};
 use naga::back::wgsl::{WriterFlags, write_string};
 use naga::valid::{Capabilities, ValidationFlags, Validator};
 use naga::{
@@ -8,19 +8,19 @@ use naga::{
     MemoryDecorations, Module, Range, Scalar, Span, Statement, Type, TypeInner,
 };
 
-/// The function that the shader calls has its own name behind this.
-pub const PREFIX: &str = "own_";
-/// The variable that counts the turns of all loops of an invocation; beyond [`MAX_ITERATIONS`] all are left.
-pub const TURNS: &str = "own_turns";
+/// The variable that counts the turns of all loops of an invocation, behind the module's prefix; beyond [`MAX_ITERATIONS`] all
+/// are left.
+const TURNS: &str = "turns";
 
-/// The module as WGSL. Its names are none that the shader has, but for that of `entry`, which begins with [`PREFIX`], and every loop counts its turns in [`TURNS`].
+/// The module as WGSL. Its names are none that the shader has: all begin with `prefix`, which that of `entry` follows as it is;
+/// and every loop counts its turns.
 ///
 /// # Errors
 /// What naga says, which is a bug in it or here: the module was valid.
-pub fn written(module: &Module, entry: Handle<Function>) -> Result<String, String> {
+pub fn written(module: &Module, entry: Handle<Function>, prefix: &str) -> Result<String, String> {
     let mut module = module.clone();
-    rename(&mut module, entry);
-    let turns = count_turns(&mut module);
+    rename(&mut module, entry, prefix);
+    let turns = count_turns(&mut module, prefix);
     let mut functions = std::mem::take(&mut module.functions);
     for (_, function) in functions.iter_mut() {
         end_loops(function, turns);
@@ -32,14 +32,57 @@ pub fn written(module: &Module, entry: Handle<Function>) -> Result<String, Strin
     write_string(&module, &info, WriterFlags::empty()).map_err(|error| error.to_string())
 }
 
+/// A function in a shader.
+#[derive(Debug, Clone, Copy)]
+pub struct Call<'a> {
+    /// What all of its names begin with.
+    pub prefix: &'a str,
+    /// Its own name.
+    pub entry: &'a str,
+    /// What the shader gives, as WGSL declares it: arguments go by their names.
+    pub parameters: &'a str,
+    /// The array of `vec4f` that holds the uniforms.
+    pub uniforms: &'a str,
+}
+
+/// Vectors of four that hold so many uniforms. No array is empty.
+pub fn vectors(uniforms: usize) -> usize {
+    uniforms.div_ceil(4).max(1)
+}
+
+/// The function, with `value`, which calls it with its uniforms, `is_lost` and the constant `UNIFORMS`, each behind the prefix.
+pub fn callable(source: &Source, call: Call<'_>) -> String {
+    let Call { prefix, entry, parameters, uniforms: array } = call;
+    let (module, names) = source.shader(prefix);
+    let uniforms = source.uniforms();
+    let argument = |name: &&str| match uniforms.iter().position(|uniform| uniform == name) {
+        Some(i) => format!("{array}[{}][{}]", i / 4, i % 4),
+        None => (*name).to_owned(),
+    };
+    let arguments = names.iter().map(argument).collect::<Vec<_>>().join(", ");
+    let vectors = vectors(uniforms.len());
+    format!(
+        "{module}
+const {prefix}UNIFORMS = {vectors}u;
+fn {prefix}value({parameters}) -> f32 {{
+    {prefix}{TURNS} = 0u;
+    return {prefix}{entry}({arguments});
+}}
+fn {prefix}is_lost() -> bool {{
+    return {prefix}{TURNS} >= {MAX_ITERATIONS}u;
+}}
+"
+    )
+}
+
 /// Names by numbers, whatever the user's are: naga changes names that others have taken before.
-fn rename(module: &mut Module, entry: Handle<Function>) {
+fn rename(module: &mut Module, entry: Handle<Function>, prefix: &str) {
     let prefixed = |name: &mut Option<String>, kind: &str, i: usize| {
-        *name = Some(format!("{PREFIX}{kind}_{i}_"));
+        *name = Some(format!("{prefix}{kind}_{i}_"));
     };
     for (i, (handle, function)) in module.functions.iter_mut().enumerate() {
         if handle == entry {
-            function.name = Some(format!("{PREFIX}{}", function.name.as_deref().unwrap_or_default()));
+            function.name = Some(format!("{prefix}{}", function.name.as_deref().unwrap_or_default()));
         } else {
             prefixed(&mut function.name, "function", i);
         }
@@ -66,11 +109,11 @@ fn rename(module: &mut Module, entry: Handle<Function>) {
     }
 }
 
-fn count_turns(module: &mut Module) -> Handle<GlobalVariable> {
+fn count_turns(module: &mut Module, prefix: &str) -> Handle<GlobalVariable> {
     let word = Type { name: None, inner: TypeInner::Scalar(Scalar::U32) };
     let ty = module.types.insert(word, Span::UNDEFINED);
     let variable = GlobalVariable {
-        name: Some(TURNS.to_owned()),
+        name: Some(format!("{prefix}{TURNS}")),
         space: AddressSpace::Private,
         binding: None,
         ty,
@@ -108,7 +151,7 @@ fn end_loops_in(block: &mut Block, function: &mut Function, turns: Handle<Global
     }
 }
 
-/// `if own_turns >= MAX_ITERATIONS { break; }` before everything else.
+/// `if turns >= MAX_ITERATIONS { break; }` before everything else.
 fn leave_when_lost(body: &mut Block, function: &mut Function, turns: Handle<GlobalVariable>) {
     let mut add = |expression| function.expressions.append(expression, Span::UNDEFINED);
     let pointer = add(Expression::GlobalVariable(turns));
@@ -124,7 +167,7 @@ fn leave_when_lost(body: &mut Block, function: &mut Function, turns: Handle<Glob
     *body = statements;
 }
 
-/// `own_turns += 1;` before another turn.
+/// `turns += 1;` before another turn.
 fn count_turn(continuing: &mut Block, function: &mut Function, turns: Handle<GlobalVariable>) {
     let mut add = |expression| function.expressions.append(expression, Span::UNDEFINED);
     let pointer = add(Expression::GlobalVariable(turns));

@@ -97,11 +97,11 @@ impl Source {
     ///
     /// # Panics
     /// On a bug in naga's writer.
-    pub fn shader(&self) -> (String, Vec<&str>) {
+    pub fn shader(&self, prefix: &str) -> (String, Vec<&str>) {
         let Parsed { module, entry, .. } = &self.parsed;
         let arguments = module.functions[*entry].arguments.iter();
         let names = arguments.map(|argument| argument.name.as_deref().unwrap_or("_")).collect();
-        match shader::written(module, *entry) {
+        match shader::written(module, *entry, prefix) {
             Ok(text) => (text, names),
             Err(error) => panic!("{:?} cannot be written as a shader: {error}", self.text),
         }

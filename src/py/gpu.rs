@@ -51,6 +51,33 @@ pub fn render_gpu<'py>(
     }
 }
 
+/// Refuses what `render_gpu` would refuse of the variants before it draws anything: with `asks_device`, also what the device
+/// of this process cannot do.
+#[pyfunction]
+pub fn check_gpu<'py>(
+    py: Python<'py>,
+    source: &Bound<'py, PyAny>,
+    variants: Vec<(Named<'py>, Bound<'py, PyDict>)>,
+    path: &str,
+    asks_device: bool,
+) -> PyResult<()> {
+    let source = AnySource::extract(source)?;
+    let failures = Failures::default();
+    let requests = requests(variants, &failures)?;
+    let raster = RasterPath::from_name(path)?;
+    #[cfg(feature = "gpu")]
+    {
+        interruptible(py, &failures, move |_| {
+            crate::render::check_on_gpu(source.as_source(), &requests, raster, asks_device)
+        })
+    }
+    #[cfg(not(feature = "gpu"))]
+    {
+        _ = (py, source, requests, raster, asks_device);
+        none_here()
+    }
+}
+
 /// The fragments of every pixel of a scene as the GPU finds them.
 #[pyfunction]
 pub fn capture_gpu(py: Python<'_>, scene: &Bound<'_, PyScene>) -> PyResult<PyFragments> {

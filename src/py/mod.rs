@@ -26,9 +26,9 @@ mod extension {
     #[pymodule_export]
     use super::frame::PyFrame;
     #[pymodule_export]
-    use super::gpu::{capture_gpu, gpu_info, render_gpu};
+    use super::gpu::{capture_gpu, check_gpu, gpu_info, render_gpu};
     #[pymodule_export]
-    use super::run::{capture, cost, diagnose, order_sensitivity, render, techniques, transmittance};
+    use super::run::{capture, check, cost, diagnose, order_sensitivity, render, techniques, transmittance};
     #[pymodule_export]
     use super::scene::{PyCamera, PyMesh, PyScene};
     #[pymodule_export]

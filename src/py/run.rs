@@ -166,6 +166,18 @@ pub fn render<'py>(
     Ok(frames.into_iter().map(|frame| PyFrame::new(frame, source.share())).collect())
 }
 
+/// Refuses what `render` would refuse of the variants before it draws anything.
+#[pyfunction]
+pub fn check<'py>(
+    source: &Bound<'py, PyAny>,
+    variants: Vec<(Named<'py>, Bound<'py, PyDict>)>,
+) -> PyResult<()> {
+    let failures = Failures::default();
+    let result = core::check(AnySource::extract(source)?.as_source(), &requests(variants, &failures)?);
+    failures.raise()?;
+    Ok(result?)
+}
+
 /// What went wrong with each pixel's numbers, one dict of images per variant.
 #[pyfunction]
 pub fn diagnose<'py>(

@@ -100,47 +100,6 @@ impl Plane {
         self.area.signum()
     }
 
-    /// The depth at one pixel centre, as [`Plane::depths`] has it.
-    #[inline(always)]
-    #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
-    #[expect(clippy::cast_possible_truncation, reason = "fragments store depth as f32")]
-    fn depth(&self, dx: f64, dy: f64) -> f32 {
-        let [v0, v1, v2] = self.values;
-        let l1 = dx * self.to_2.1 - dy * self.to_2.0;
-        let l2 = dy * self.to_1.0 - dx * self.to_1.1;
-        let sum = (self.area - l1 - l2) * v0 + l1 * v1 + l2 * v2;
-        let (above, below) = if self.perspective { (self.area, sum) } else { (sum, self.area) };
-        clamp_depth(above / below, self.range) as f32
-    }
-
-    /// The depths at pixel centres given in sub-pixels from the first corner: the bits of [`Surface::at`]
-    /// inside the triangle, something within its corners' range outside.
-    #[inline(always)]
-    #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
-    #[expect(clippy::cast_possible_truncation, reason = "fragments store depth as f32")]
-    fn depths(&self, dx: &[f64; LANES], dy: &[f64; LANES]) -> [f32; LANES] {
-        let [v0, v1, v2] = self.values;
-        let (mut l1, mut l2, mut sum) = ([0.0; LANES], [0.0; LANES], [0.0; LANES]);
-        for lane in 0..LANES {
-            l1[lane] = dx[lane] * self.to_2.1 - dy[lane] * self.to_2.0;
-        }
-        for lane in 0..LANES {
-            l2[lane] = dy[lane] * self.to_1.0 - dx[lane] * self.to_1.1;
-        }
-        for lane in 0..LANES {
-            let l0 = self.area - l1[lane] - l2[lane];
-            sum[lane] = l0 * v0 + l1[lane] * v1 + l2[lane] * v2;
-        }
-        let mut depths = [0.0; LANES];
-        for lane in 0..LANES {
-            // one division, whichever it is
-            let above = if self.perspective { self.area } else { sum[lane] };
-            let below = if self.perspective { sum[lane] } else { self.area };
-            depths[lane] = clamp_depth(above / below, self.range) as f32;
-        }
-        depths
-    }
-
     #[inline]
     #[expect(clippy::cast_possible_truncation, reason = "fragments store depth as f32")]
     fn at(&self, x: i32, y: i32) -> Hit {
@@ -169,39 +128,20 @@ fn clamp_depth(depth: f64, (low, high): (f64, f64)) -> f64 {
     if depth < high { depth } else { high }
 }
 
-/// Sub-pixels from a pixel to those at its right.
-const STEPS: [f64; LANES] = {
-    let mut steps = [0.0; LANES];
-    let mut lane = 1;
-    while lane < LANES {
-        steps[lane] = steps[lane - 1] + SUBPIXELS as f64;
-        lane += 1;
-    }
-    steps
-};
-
-/// Pixels of one primitive up to which they are listed one by one; runs and blocks pay off from here on.
+/// Pixels of one primitive up to which they are listed one by one; runs pay off from here on.
 pub const FEW: usize = 64;
-
-/// 0 to 7, twice.
-const COUNT: [(f64, u32); LANES] =
-    [(0.0, 0), (1.0, 1), (2.0, 2), (3.0, 3), (4.0, 4), (5.0, 5), (6.0, 6), (7.0, 7)];
 
 /// The pixels of a small primitive, one by one.
 #[derive(Debug, Clone)]
 pub struct Pixels {
-    /// Columns in the image. There is room for whole vectors.
-    x: [f64; FEW + LANES],
-    /// Rows.
-    y: [f64; FEW + LANES],
-    /// Indices in the tile.
+    /// Indices in the tile. There is room for whole vectors.
     places: [u32; FEW + LANES],
     count: usize,
 }
 
 impl Default for Pixels {
     fn default() -> Self {
-        Self { x: [0.0; FEW + LANES], y: [0.0; FEW + LANES], places: [0; FEW + LANES], count: 0 }
+        Self { places: [0; FEW + LANES], count: 0 }
     }
 }
 
@@ -217,20 +157,13 @@ impl Pixels {
     pub fn list(&mut self, runs: &[Run]) {
         let mut next = 0;
         for run in runs {
-            let (x, y) = (f64::from(run.x), f64::from(run.y));
             let end = next + run.len as usize;
-            let (mut first, mut x) = (run.first, x);
+            let mut first = run.first;
             while next < end {
                 // whole vectors, the ends of which the next run writes over
-                let (mut xs, mut places) = ([x; LANES], [first; LANES]);
-                for lane in 0..LANES {
-                    xs[lane] += COUNT[lane].0;
-                    places[lane] += COUNT[lane].1;
-                }
-                self.x[next..next + LANES].copy_from_slice(&xs);
-                self.y[next..next + LANES].copy_from_slice(&[y; LANES]);
+                let places = [0, 1, 2, 3, 4, 5, 6, 7].map(|lane| first + lane);
                 self.places[next..next + LANES].copy_from_slice(&places);
-                (next, first, x) = (next + LANES, places[LANES - 1] + 1, xs[LANES - 1] + 1.0);
+                (next, first) = (next + LANES, places[LANES - 1] + 1);
             }
             next = end;
         }
@@ -244,84 +177,51 @@ impl Pixels {
 }
 
 impl Plane {
-    /// The depths of a small triangle's pixels, into `depth`, which has room for [`LANES`] more.
+    /// The depths of all pixels of the runs, one after the other in `depth`, which has room for [`LANES`] more: the
+    /// bits of [`Surface::at`]. What is in the room is within the corners' range, too.
     #[inline(always)]
     #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
-    pub fn depths_of(&self, pixels: &Pixels, depth: &mut [f32]) {
-        depths_of(self, pixels, depth);
+    pub fn depths(&self, runs: &[Run], depth: &mut [f32]) {
+        let mut next = 0;
+        for run in runs {
+            // whole vectors, the ends of which the next run writes over
+            let end = next + run.len as usize;
+            self.depths_of_row(run, &mut depth[next..next + (end - next).next_multiple_of(LANES)]);
+            next = end;
+        }
     }
 
-    /// The depths of all pixels of the runs, one after the other in `depth`, which has room for [`LANES`] more.
+    /// The same for many runs, by the processor's best instructions.
+    pub fn depths_of_many(&self, runs: &[Run], depth: &mut [f32]) {
+        depths_of_many(self, runs, depth);
+    }
+
+    /// The depths of the pixels from a run's first on. A plain loop over a number of pixels that is not known before:
+    /// of one over eight, a compiler makes scalars.
     #[inline(always)]
     #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
-    pub fn depths_along(&self, runs: &[Run], depth: &mut [f32]) {
-        depths_along(self, runs, depth);
-    }
-
-    /// Sub-pixels from the first corner to the centre of the image's first pixel.
-    #[inline(always)]
-    #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
-    fn origin_offset(&self) -> (f64, f64) {
-        (f64::from(CENTER - self.origin.0), f64::from(CENTER - self.origin.1))
-    }
-}
-
-#[inline(always)]
-#[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
-fn depths_of(plane: &Plane, pixels: &Pixels, depth: &mut [f32]) {
-    let (x0, y0) = plane.origin_offset();
-    if pixels.count <= LANES {
-        // numbers that have just been stored one by one are better loaded so
-        for ((to, x), y) in depth.iter_mut().zip(&pixels.x).zip(&pixels.y).take(pixels.count) {
-            *to = plane.depth(x * f64::from(SUBPIXELS) + x0, y * f64::from(SUBPIXELS) + y0);
+    #[expect(clippy::cast_possible_truncation, reason = "fragments store depth as f32")]
+    fn depths_of_row(&self, run: &Run, depth: &mut [f32]) {
+        let [v0, v1, v2] = self.values;
+        let dx = f64::from(run.x * SUBPIXELS + CENTER - self.origin.0);
+        let dy = f64::from(run.y * SUBPIXELS + CENTER - self.origin.1);
+        let (down_1, down_2) = (dy * self.to_1.0, dy * self.to_2.0);
+        for (depth, i) in depth.iter_mut().zip(0..) {
+            let dx = dx + f64::from(i * SUBPIXELS);
+            let l1 = dx * self.to_2.1 - down_2;
+            let l2 = down_1 - dx * self.to_1.1;
+            let sum = (self.area - l1 - l2) * v0 + l1 * v1 + l2 * v2;
+            // one division, whichever it is
+            let (above, below) = if self.perspective { (self.area, sum) } else { (sum, self.area) };
+            *depth = clamp_depth(above / below, self.range) as f32;
         }
-        return;
-    }
-    let (xs, ys) = (pixels.x.as_chunks::<LANES>().0, pixels.y.as_chunks::<LANES>().0);
-    let depth = depth.as_chunks_mut::<LANES>().0;
-    for ((to, x), y) in depth.iter_mut().zip(xs).zip(ys).take(pixels.count.div_ceil(LANES)) {
-        let (mut dx, mut dy) = ([0.0; LANES], [0.0; LANES]);
-        for lane in 0..LANES {
-            dx[lane] = x[lane] * f64::from(SUBPIXELS) + x0;
-        }
-        for lane in 0..LANES {
-            dy[lane] = y[lane] * f64::from(SUBPIXELS) + y0;
-        }
-        *to = plane.depths(&dx, &dy);
     }
 }
 
 #[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
-fn depths_along(plane: &Plane, runs: &[Run], depth: &mut [f32]) {
-    let (x0, y0) = plane.origin_offset();
-    let mut next = 0;
-    for run in runs {
-        let x = f64::from(run.x) * f64::from(SUBPIXELS) + x0;
-        let y = [f64::from(run.y) * f64::from(SUBPIXELS) + y0; LANES];
-        let end = next + run.len as usize;
-        let mut x = [x; LANES];
-        step(&mut x, STEPS);
-        while next < end {
-            let depths = plane.depths(&x, &y);
-            depth[next..next + LANES].copy_from_slice(&depths);
-            step(&mut x, [LANES_STEP; LANES]);
-            next += LANES;
-        }
-        next = end;
-    }
+fn depths_of_many(plane: &Plane, runs: &[Run], depth: &mut [f32]) {
+    plane.depths(runs, depth);
 }
-
-/// Sub-pixels from `x` to the right, and on by [`LANES`] pixels.
-#[inline(always)]
-#[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
-fn step(x: &mut [f64; LANES], by: [f64; LANES]) {
-    for (x, by) in x.iter_mut().zip(by) {
-        *x += by;
-    }
-}
-
-/// Sub-pixels over [`LANES`] pixels.
-const LANES_STEP: f64 = STEPS[LANES - 1] + SUBPIXELS as f64;
 
 /// A clipped triangle: the pixel's ray against the triangle in view space.
 #[derive(Debug, Clone, Copy)]
@@ -411,13 +311,10 @@ mod tests {
             let count: usize = runs.iter().map(|run| run.len as usize).sum();
             let mut depth = vec![0.0; count + LANES];
             let pixels = runs.iter().flat_map(|run| (0..run.len.cast_signed()).map(|i| (run.x + i, run.y)));
-            plane.depths_along(&runs, &mut depth);
-            if count <= FEW {
-                let (mut few, mut again) = (Pixels::default(), vec![0.0; count + LANES]);
-                few.list(&runs);
-                plane.depths_of(&few, &mut again);
-                assert_eq!(depth[..count], again[..count]);
-            }
+            plane.depths(&runs, &mut depth);
+            let mut again = vec![0.0; count + LANES];
+            plane.depths_of_many(&runs, &mut again);
+            assert_eq!(depth[..count], again[..count]);
             for ((x, y), depth) in pixels.zip(depth) {
                 assert_eq!(plane.at(x, y).depth, depth);
             }

@@ -1,4 +1,4 @@
-//! Which pixel centres a triangle covers, eight rows at a time: the same rule as in [`super::cover`], and the same
+//! Which pixel centres a triangle covers, many rows at a time: the same rule as in [`super::cover`], and the same
 //! pixels, in floating point that is precise enough to be exact.
 
 use super::cover::Rect;
@@ -24,9 +24,9 @@ impl Run {
     }
 }
 
-/// Rows that are looked at together.
-const ROWS: usize = 8;
-type Rows = [f64; ROWS];
+/// Rows that are looked at together, at most, and what their number is rounded up to: whole vectors.
+const ROWS: usize = 64;
+const LANES: usize = 8;
 
 /// Adding and taking away again rounds to the nearest integer.
 const ROUND: f64 = 6_755_399_441_055_744.0; // 1.5 * 2^52
@@ -72,15 +72,11 @@ impl Edge {
         }
     }
 
-    /// The crossings with the rows `rows` below the first.
+    /// The crossing with the row that many rows below the first.
     #[inline(always)]
     #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
-    fn crossings(&self, rows: &Rows) -> Rows {
-        let mut columns = [0.0; ROWS];
-        for row in 0..ROWS {
-            columns[row] = self.at_first + rows[row] * self.step + ROUND - ROUND;
-        }
-        columns
+    fn crossing(&self, row: f64) -> f64 {
+        self.at_first + row * self.step + ROUND - ROUND
     }
 }
 
@@ -93,6 +89,26 @@ fn column(x: f64, limit: f64) -> i32 {
     let x = if x < limit { x } else { limit };
     let x = if x > -1.0 { x } else { -1.0 };
     (x + ROUND).to_bits() as i32
+}
+
+/// Where the lines of a triangle's edges let its rows begin and end, between columns `x0` and `x1`, from the row on that
+/// is `first` below the edges' first.
+///
+/// A plain loop over a number of rows that is not known before: of one over eight, a compiler makes scalars.
+#[inline(always)]
+#[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+fn row_ends(edges: [Edge; 3], first: i32, (x0, x1): (f64, f64), from: &mut [i32], to: &mut [i32]) {
+    for ((from, to), row) in from.iter_mut().zip(to).zip(first..) {
+        let (mut left, mut right) = (x0, x1);
+        for edge in edges {
+            let column = edge.crossing(f64::from(row));
+            let (on_left, on_right) = (column + edge.on_left, column + edge.on_right);
+            left = if on_left > left { on_left } else { left };
+            right = if on_right < right { on_right } else { right };
+        }
+        *from = column(left, x1);
+        *to = column(right, x1);
+    }
 }
 
 /// The runs of the pixels of `bounds` that a triangle of nonzero area covers, row by row from the top; their
@@ -115,41 +131,25 @@ pub fn triangle_runs(
         Edge::new(b, c, bounds.y0, sign),
         Edge::new(c, a, bounds.y0, sign),
     ];
-    let (x0, x1) = (f64::from(bounds.x0), f64::from(bounds.x1));
+    let limits = (f64::from(bounds.x0), f64::from(bounds.x1));
     let width = rect.x1 - rect.x0;
     let mut start = (bounds.y0 - rect.y0) * width - rect.x0;
-    let mut rows = [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0];
+    let (mut from, mut to) = ([0; ROWS], [0; ROWS]);
     let mut pixels = 0;
     let mut y = bounds.y0;
     while y < bounds.y1 {
-        let (mut lefts, mut rights) = ([x0; ROWS], [x1; ROWS]);
-        for edge in &edges {
-            let columns = edge.crossings(&rows);
-            for row in 0..ROWS {
-                let (left, right) = (columns[row] + edge.on_left, columns[row] + edge.on_right);
-                lefts[row] = if left > lefts[row] { left } else { lefts[row] };
-                rights[row] = if right < rights[row] { right } else { rights[row] };
+        let rows = ((bounds.y1 - y).cast_unsigned() as usize).min(ROWS);
+        let whole = rows.next_multiple_of(LANES);
+        row_ends(edges, y - bounds.y0, limits, &mut from[..whole], &mut to[..whole]);
+        for (&left, &right) in from[..rows].iter().zip(&to[..rows]) {
+            if right > left {
+                let len = (right - left).cast_unsigned();
+                runs.push(Run { x: left, y, first: (start + left).cast_unsigned(), len });
+                pixels += len as usize;
             }
-        }
-        let (mut from, mut to) = ([0; ROWS], [0; ROWS]);
-        for row in 0..ROWS {
-            from[row] = column(lefts[row], x1);
-            to[row] = column(rights[row], x1);
-        }
-        // every row is written, and those with pixels are kept: empty ones come as a surprise
-        let (mut of_rows, mut kept) = ([Run::default(); ROWS], 0);
-        for ((left, right), y) in from.into_iter().zip(to).zip(y..bounds.y1) {
-            let len = (right - left).max(0).cast_unsigned();
-            of_rows[kept % ROWS] = Run { x: left, y, first: (start + left).cast_unsigned(), len };
-            kept += usize::from(len > 0);
-            pixels += len as usize;
             start += width;
+            y += 1;
         }
-        runs.extend_from_slice(&of_rows[..kept]);
-        for row in &mut rows {
-            *row += 8.0;
-        }
-        y += 8;
     }
     pixels
 }
@@ -162,8 +162,9 @@ pub fn covers_all(points: [(i32, i32); 3], sign: f64, rect: &Rect) -> bool {
     let (x0, x1) = (f64::from(rect.x0), f64::from(rect.x1));
     [(a, b), (b, c), (c, a)].into_iter().all(|(from, to)| {
         let edge = Edge::new(from, to, rect.y0, sign);
-        let [first, last, ..] = edge.crossings(&[0.0, last, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
-        [first, last].into_iter().all(|x| x + edge.on_left <= x0 && x + edge.on_right >= x1)
+        [edge.crossing(0.0), edge.crossing(last)]
+            .into_iter()
+            .all(|x| x + edge.on_left <= x0 && x + edge.on_right >= x1)
     })
 }
 
@@ -181,8 +182,7 @@ pub fn is_tiny(points: &[(i32, i32); 3], bounds: &Rect) -> bool {
     bounds.x1 - bounds.x0 <= TINY && bounds.y1 - bounds.y0 <= TINY && points.iter().all(near)
 }
 
-/// [`triangle_runs`] of a tiny triangle, by the edge functions of all 8 x 8 pixels from the bounds' corner on, or of
-/// 8 x 4 where no more rows are needed.
+/// [`triangle_runs`] of a tiny triangle, by the edge functions of 8 x 8 pixels from the bounds' corner on.
 #[inline(always)]
 #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
 pub fn tiny_runs(
@@ -192,56 +192,87 @@ pub fn tiny_runs(
     bounds: &Rect,
     runs: &mut Vec<Run>,
 ) -> usize {
-    if bounds.y1 - bounds.y0 <= TINY / 2 {
-        runs_of_rows::<4>(points, sign, rect, bounds, runs)
+    let (columns, rows) = (bounds.x1 - bounds.x0, bounds.y1 - bounds.y0);
+    let in_columns = 0x0101_0101_0101_0101 * ((1_u64 << columns) - 1);
+    let in_rows = u64::MAX >> (64 - 8 * rows);
+    let covered = tiny_coverage(points, sign, bounds) & in_columns & in_rows;
+    // a number of rows that is known needs no branch per row
+    if rows <= TINY / 2 {
+        list_runs::<4>(covered, rect, bounds, runs);
     } else {
-        runs_of_rows::<8>(points, sign, rect, bounds, runs)
+        list_runs::<8>(covered, rect, bounds, runs);
     }
+    covered.count_ones() as usize
 }
 
+/// A byte per row and a bit per pixel of 8 x 8: those inside of all edges. Rows beyond the bounds are undefined.
 #[inline(always)]
 #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
-fn runs_of_rows<const ROWS: usize>(
-    points: [(i32, i32); 3],
-    sign: i32,
-    rect: &Rect,
-    bounds: &Rect,
-    runs: &mut Vec<Run>,
-) -> usize {
+#[expect(clippy::cast_possible_truncation, reason = "a byte per column")]
+#[expect(clippy::needless_bitwise_bool, reason = "without branches")]
+fn tiny_coverage(points: [(i32, i32); 3], sign: i32, bounds: &Rect) -> u64 {
     let (px, py) = (bounds.x0 * SUBPIXELS + CENTER, bounds.y0 * SUBPIXELS + CENTER);
     let [a, b, c] = points;
-    let mut edges = [[0; 3]; 3];
-    for (edge, (from, to)) in edges.iter_mut().zip([(a, b), (b, c), (c, a)]) {
+    let (mut edges, mut down) = ([[0_i32; 8]; 3], [0; 3]);
+    for ((edge, down), (from, to)) in edges.iter_mut().zip(&mut down).zip([(a, b), (b, c), (c, a)]) {
         let (dx, dy) = ((to.0 - from.0) * sign, (to.1 - from.1) * sign);
-        // a centre on an edge is inside if the edge is a top or left one as the triangle is walked clockwise
-        let least = i32::from(!(dy < 0 || (dy == 0 && dx > 0)));
+        // a centre on an edge is inside if the edge is a top or left one as the triangle is walked clockwise; which one
+        // it is cannot be foreseen, so that branches would cost more
+        let least = i32::from((dy > 0) | ((dy == 0) & (dx <= 0)));
         let at_corner = dx * (py - from.1) - dy * (px - from.0) - least;
-        *edge = [at_corner, -dy * SUBPIXELS, dx * SUBPIXELS];
+        for (x, at) in (0..8).zip(edge) {
+            *at = at_corner - dy * SUBPIXELS * x;
+        }
+        *down = dx * SUBPIXELS;
     }
-    let mut rows = [[0_u8; 8]; ROWS];
-    for (y, row) in (0..8).zip(&mut rows) {
-        for (x, inside) in (0..8).zip(row) {
-            let mut outside = 0;
-            for [at_corner, along, down] in edges {
-                outside |= at_corner + along * x + down * y;
+    // a word per column and a bit per row of what is outside, from the signs
+    let (mut outside, mut row) = ([0_u32; 8], 1);
+    for _ in bounds.y0..bounds.y1 {
+        let [first, second, third] = &mut edges;
+        for x in 0..8 {
+            outside[x] |= ((first[x] | second[x] | third[x]) >> 31).cast_unsigned() & row;
+        }
+        for (edge, down) in [first, second, third].into_iter().zip(down) {
+            for at in edge {
+                *at += down;
             }
-            *inside = u8::from(outside >= 0);
         }
+        row <<= 1;
     }
-    let (columns, width) = (bounds.x1 - bounds.x0, rect.x1 - rect.x0);
-    let in_bounds = (1_u32 << columns) - 1;
-    let mut pixels = 0;
-    for (y, row) in (bounds.y0..bounds.y1).zip(rows) {
-        // a byte's bit per pixel
-        let mask = (u64::from_le_bytes(row).wrapping_mul(0x0102_0408_1020_4080) >> 56) as u32 & in_bounds;
-        if mask != 0 {
-            let (x, len) = (bounds.x0 + mask.trailing_zeros().cast_signed(), mask.count_ones());
-            let first = ((y - rect.y0) * width + x - rect.x0).cast_unsigned();
-            runs.push(Run { x, y, first, len });
-            pixels += len as usize;
-        }
+    !transposed(u64::from_le_bytes(outside.map(|rows| rows as u8)))
+}
+
+/// The 8 x 8 bits with rows and columns exchanged: blocks of 1, 2 and 4 change places across the diagonal.
+#[inline(always)]
+#[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+fn transposed(mut bits: u64) -> u64 {
+    for (shift, upper) in [(7, 0x00AA_00AA_00AA_00AA), (14, 0x0000_CCCC_0000_CCCC), (28, 0xF0F0_F0F0)] {
+        let changed = (bits ^ (bits >> shift)) & upper;
+        bits ^= changed ^ (changed << shift);
     }
-    pixels
+    bits
+}
+
+/// The runs of so many rows of pixels, given as bits.
+#[inline(always)]
+#[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+fn list_runs<const ROWS: usize>(mut covered: u64, rect: &Rect, bounds: &Rect, runs: &mut Vec<Run>) {
+    let width = rect.x1 - rect.x0;
+    let mut start = (bounds.y0 - rect.y0) * width + bounds.x0 - rect.x0;
+    // every row is written, and those with pixels are kept: empty ones come as a surprise
+    let (mut of_rows, mut kept) = ([Run::default(); ROWS], 0);
+    for y in (bounds.y0..).take(ROWS) {
+        let row = covered & 0xFF;
+        let x = row.trailing_zeros().cast_signed();
+        let first = (start + x).cast_unsigned();
+        of_rows[kept] = Run { x: bounds.x0 + x, y, first, len: row.count_ones() };
+        kept += usize::from(row != 0);
+        covered >>= 8;
+        start += width;
+    }
+    let before = runs.len();
+    runs.extend_from_slice(&of_rows);
+    runs.truncate(before + kept);
 }
 
 #[cfg(test)]

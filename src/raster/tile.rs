@@ -293,8 +293,8 @@ impl Tile {
     #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
     fn depths(&mut self, surface: &Surface<'_>, pixels: usize) {
         match surface {
-            Surface::Plane(plane) if pixels <= FEW => plane.depths_of(&self.few, &mut self.depth),
-            Surface::Plane(plane) => plane.depths_along(&self.runs, &mut self.depth),
+            Surface::Plane(plane) if pixels <= FEW => plane.depths(&self.runs, &mut self.depth),
+            Surface::Plane(plane) => plane.depths_of_many(&self.runs, &mut self.depth),
             Surface::Ray(_) => {
                 let pixels =
                     self.runs.iter().flat_map(|run| (0..run.len.cast_signed()).map(|i| (run.x + i, run.y)));
@@ -326,7 +326,10 @@ impl Tile {
 /// The primitives as they were submitted. From here on everything is inlined, so that all of it is compiled for
 /// the instruction set at hand.
 #[multiversion(
-    targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"),
+    targets(
+        "x86_64+avx512f+avx512vl+avx512dq+avx512bw+popcnt+bmi1+bmi2",
+        "x86_64+avx2+fma+popcnt+bmi1+bmi2"
+    ),
     dispatcher = "direct"
 )]
 fn hand_over_submitted<'r, K: Sink<'r>>(
@@ -343,7 +346,10 @@ fn hand_over_submitted<'r, K: Sink<'r>>(
 
 /// The primitives as they were arranged.
 #[multiversion(
-    targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"),
+    targets(
+        "x86_64+avx512f+avx512vl+avx512dq+avx512bw+popcnt+bmi1+bmi2",
+        "x86_64+avx2+fma+popcnt+bmi1+bmi2"
+    ),
     dispatcher = "direct"
 )]
 fn hand_over_arranged<'r, K: Sink<'r>>(

@@ -5,10 +5,10 @@ use super::request::Asked;
 use super::{Options, Request, Source, with_threads};
 use crate::error::{Error, Result};
 use crate::fragments::{Background, Fragment, Fragments, Lists};
-use crate::frame::{Frame, Image, Sample, Stats};
+use crate::frame::{Frame, Image, Sample, Stats, skipped};
 use crate::gpu::form::tiled::RasterPath;
-use crate::gpu::form::{Form, Number, Path, Sorting, submission};
-use crate::gpu::{Given, Key, Opaque, Shared, View, with_gpu};
+use crate::gpu::form::{Form, Path, Sorting};
+use crate::gpu::{Given, Key, Opaque, Shared, View, check_size, with_gpu};
 use crate::order::Reorderer;
 use crate::order::{CentroidOrder, SubmissionOrder};
 use crate::params::{self, Params};
@@ -45,17 +45,14 @@ pub fn render_on_gpu(
     stop: &(dyn Fn() -> bool + Sync),
 ) -> Result<Vec<Frame>> {
     let asked = requests.iter().map(Request::check).collect::<Result<Vec<_>>>()?;
-    let provisional = match source {
-        Source::Scene(scene) => raster::provisional_view(scene),
-        Source::Fragments(fragments) => fragments.view,
-    };
-    asked.iter().try_for_each(|asked| bound(asked, source, &provisional, raster).map(drop))?;
+    let forms = forms(&asked, source, raster)?;
     if asked.is_empty() {
         return Ok(Vec::new());
     }
     let start = Instant::now();
     with_threads(options.threads, |threads| {
         with_gpu(|shared| {
+            fit(shared, source, &forms, raster)?;
             let mut job = Job::new(source, shared, stop);
             let range = job.range()?;
             let mut answers: Vec<(Bound, Answer)> = Vec::new();
@@ -81,6 +78,40 @@ pub fn render_on_gpu(
             Ok(frames)
         })
     })
+}
+
+/// Refuses what [`render_on_gpu`] would refuse of these requests before it draws anything. Whether a device can do what is
+/// left is asked of that of this process, or of none.
+///
+/// # Errors
+/// As [`render_on_gpu`].
+pub fn check_on_gpu(
+    source: Source<'_>,
+    requests: &[Request],
+    raster: RasterPath,
+    asks_device: bool,
+) -> Result<()> {
+    let asked = requests.iter().map(Request::check).collect::<Result<Vec<_>>>()?;
+    let forms = forms(&asked, source, raster)?;
+    if asks_device { with_gpu(|shared| fit(shared, source, &forms, raster)) } else { Ok(()) }
+}
+
+/// The forms of what is asked for, bound to what is known of the view before anything is set up.
+fn forms(asked: &[Asked], source: Source<'_>, raster: RasterPath) -> Result<Vec<Form>> {
+    let view = source.provisional_view();
+    asked.iter().map(|asked| bound(asked, source, &view, raster).map(|bound| bound.form)).collect()
+}
+
+/// Refuses images and forms that the device lacks something for.
+fn fit(shared: &Shared, source: Source<'_>, forms: &[Form], raster: RasterPath) -> Result<()> {
+    let (width, height) = source.size();
+    check_size(shared.connection(), width, height)?;
+    match raster {
+        RasterPath::Hardware | RasterPath::Samples => {
+            forms.iter().try_for_each(|form| shared.connection().fits(form))
+        }
+        RasterPath::Compute => Ok(()), // keeps everything in registers
+    }
 }
 
 /// The fragments of every pixel of `scene` as the GPU finds them, in submission order. They are those of [`super::capture`]
@@ -152,31 +183,54 @@ fn bound(asked: &Asked, source: Source<'_>, view: &params::View, raster: RasterP
         let farthest = fragments.lists.depth.iter().fold(view.far, |far, &depth| far.max(depth.into()));
         form = make(&variant.params, &params::View { far: farthest, ..*view })?;
     }
-    if raster == RasterPath::Compute {
-        form.tiled_module()?;
+    if let (Path::Blended(blending), RasterPath::Compute) = (&mut form.path, raster) {
+        blending.by_depth = match variant.order {
+            SubmissionOrder::Sorted => Some(false),
+            SubmissionOrder::BackToFront => Some(true),
+            _ => None,
+        };
+    }
+    match raster {
+        RasterPath::Hardware => {}
+        RasterPath::Compute => drop(form.tiled_module()?),
+        RasterPath::Samples => form = form.by_samples()?,
     }
     // lists of a scene are sorted on the device, those that are given before they are taken there
     let of_lists = |sorted| match sorted {
         Sorting::Depth if fragments.is_some() => SubmissionOrder::Sorted,
-        _ => SubmissionOrder::AsIs,
+        Sorting::Rank => variant.order,
+        Sorting::Depth | Sorting::Submission => SubmissionOrder::AsIs,
     };
-    let order = match (&mut form.path, raster) {
-        // peeling ends ties by the order of ids, in which primitives are then drawn
-        (Path::Peeled(_), _) => of_lists(Sorting::Depth),
+    let order = match (&form.path, raster) {
+        // depth buffers end ties by the order of ids, in which primitives are then drawn
+        (Path::Peeled(_) | Path::Sampled(_), _) => of_lists(Sorting::Depth),
         (Path::Listed(listing), _) => of_lists(listing.sorted),
-        (Path::Streamed(stream), _) if !stream.is_ordered => of_lists(stream.sorted),
-        (Path::Streamed(stream), RasterPath::Hardware) => {
-            let (sorted, backwards) = submission(&variant.params)?;
-            (stream.sorted, stream.backwards) = (sorted, backwards == Number::Whole(1));
-            of_lists(sorted)
+        // tiles hand fragments over as they are drawn
+        (Path::Streamed(stream), RasterPath::Compute) if stream.sorted == Sorting::Submission => {
+            if stream.backwards { SubmissionOrder::Reversed } else { SubmissionOrder::AsIs }
         }
-        (Path::Blended(_) | Path::Streamed(_), _) => variant.order,
+        (Path::Streamed(stream), _) => of_lists(stream.sorted),
+        (Path::Blended(blending), RasterPath::Compute) if blending.by_depth.is_some() => {
+            SubmissionOrder::AsIs
+        }
+        (Path::Blended(_), _) => variant.order,
+    };
+    let order = match form.capacity() {
+        None => order,
+        Some(_) if fragments.is_some() => {
+            let problem =
+                "a capacity has no form on the backend \"gpu\" for fragments that are there already";
+            return Err(variant.params.error(problem, "there capacity is 0, or it is a scene that is drawn"));
+        }
+        Some(capacity) if raster == RasterPath::Hardware => of_lists(capacity.sorted),
+        // the first ones are those that are drawn first
+        Some(_) => variant.order,
     };
     if fragments.is_none() && !order.is_of_primitives() {
         let given = variant.params.text("submission_order");
-        let who = if raster == RasterPath::Compute { "the path \"compute\"" } else { "blend units" };
-        let problem =
-            format!("submission_order={given:?} sorts fragments, which {who} of the backend \"gpu\" cannot");
+        let problem = format!(
+            "submission_order={given:?} sorts fragments before they are drawn, which the backend \"gpu\" cannot here"
+        );
         return Err(variant
             .params
             .error(problem, "there it is one of \"as_is\", \"reversed\", \"shuffled\", \"centroid\""));
@@ -204,15 +258,16 @@ struct Answer {
     fragments: u64,
     deepest: u64,
     invalid_weights: u64,
+    dropped: u64,
 }
 
 impl<'a> Job<'a> {
     fn new(source: Source<'a>, shared: &'a mut Shared, stop: &'a (dyn Fn() -> bool + Sync)) -> Self {
-        let (hash, size) = match source {
-            Source::Scene(scene) => (scene.content_hash(), (scene.width(), scene.height())),
-            Source::Fragments(fragments) => (fragments.content_hash(), (fragments.width, fragments.height)),
+        let hash = match source {
+            Source::Scene(scene) => scene.content_hash(),
+            Source::Fragments(fragments) => fragments.content_hash(),
         };
-        Self { source, shared, hash, size, stop }
+        Self { source, shared, hash, size: source.size(), stop }
     }
 
     /// What is on the device for a form of lists, or one that draws in this order.
@@ -302,6 +357,7 @@ impl<'a> Job<'a> {
             fragments,
             deepest,
             invalid_weights: image.invalid_weights,
+            dropped: image.dropped,
         })
     }
 }
@@ -426,9 +482,9 @@ impl Answer {
                 depth_complexity_max: self.deepest,
                 geometry_passes: cost.geometry_passes,
                 bytes_per_pixel: cost.bytes_per_pixel,
-                dropped: 0,
+                dropped: self.dropped,
                 invalid_weights: self.invalid_weights,
-                skipped: vec![("duplicate_variants", u64::from(duplicate))],
+                skipped: skipped(&[("duplicate_variants", u64::from(duplicate))]),
                 backend: "gpu",
                 threads,
             },

@@ -3,7 +3,9 @@
 use crate::error::{Error, Result};
 use crate::frame::Sample;
 use crate::raster::Rect;
-use crate::technique::{Finished, Resolved};
+use crate::stream::Cells;
+use crate::technique::{FinishedPixels, Resolved};
+use std::ops::Range;
 
 /// One variant's images.
 #[derive(Debug, Clone)]
@@ -131,7 +133,8 @@ impl<S: Sample> Patch<'_, S> {
 
     /// Stores pixels of variant `v`, beginning with pixel `first` of the part `rect`, row by row.
     pub fn store(&mut self, v: usize, rect: &Rect, first: usize, resolved: &[Resolved]) {
-        self.rows(v, rect, first, resolved, |colors, shares, channels, now| {
+        self.rows(v, rect, first, resolved.len(), |colors, shares, channels, now| {
+            let now = &resolved[now];
             for (to, pixel) in colors.iter_mut().zip(now) {
                 *to = pixel.color.to_array().map(S::from_f64);
             }
@@ -144,31 +147,48 @@ impl<S: Sample> Patch<'_, S> {
     }
 
     /// The same for pixels whose background has one share in all channels.
-    pub fn store_finished(&mut self, v: usize, rect: &Rect, first: usize, pixels: &[Finished]) {
-        self.rows(v, rect, first, pixels, |colors, shares, _, now| S::store(now, colors, shares));
+    pub fn store_finished(&mut self, v: usize, rect: &Rect, first: usize, pixels: &FinishedPixels) {
+        let store = |colors: &mut [_], shares: &mut [_], _, now| S::store(pixels.planes(now), colors, shares);
+        self.rows(v, rect, first, pixels.len(), store);
     }
 
-    /// Hands out the rows that some pixels go into: colours, transmittances with so many channels, and the
-    /// pixels.
-    fn rows<P>(
+    /// Stores one pixel of variant `v` in all places of a cell of the part `rect`, for each of its cells.
+    pub fn fill(&mut self, v: usize, rect: &Rect, cells: &Cells, pixels: &FinishedPixels) {
+        let mut row = CellRow::default();
+        let mut rows = cells.rows(rect.width());
+        let store = |to_colors: &mut [[S; 3]], to_shares: &mut [S], channels, _| {
+            let Some((cells, ends)) = rows.next() else { return };
+            row.spread(pixels.planes(cells), ends);
+            to_colors.copy_from_slice(&row.colors[..to_colors.len()]);
+            for (to, share) in to_shares.chunks_exact_mut(channels).zip(row.shares) {
+                to.fill(share);
+            }
+        };
+        self.rows(v, rect, 0, rect.area(), store);
+    }
+
+    /// Hands out the rows that so many pixels go into: colours, transmittances with so many channels, and which of the
+    /// pixels they are.
+    fn rows(
         &mut self,
         v: usize,
         rect: &Rect,
         first: usize,
-        pixels: &[P],
-        mut store: impl FnMut(&mut [[S; 3]], &mut [S], usize, &[P]),
+        pixels: usize,
+        mut store: impl FnMut(&mut [[S; 3]], &mut [S], usize, Range<usize>),
     ) {
         let PatchImage { color, transmittance, channels } = &mut self.images[v];
         #[expect(clippy::cast_sign_loss, reason = "the part lies in the patch")]
         let (left, top) = ((rect.x0 - self.rect.x0) as usize, (rect.y0 - self.rect.y0) as usize);
         let (mut row, mut column) = (first / rect.width(), first % rect.width());
-        let mut rest = pixels;
-        while !rest.is_empty() {
-            let (now, later) = rest.split_at(rest.len().min(rect.width() - column));
+        let mut next = 0;
+        while next < pixels {
+            let now = next..pixels.min(next + rect.width() - column);
             let (from, to) = (left + column, left + column + now.len());
             let colors = color[top + row][3 * from..3 * to].as_chunks_mut::<3>().0;
-            store(colors, &mut transmittance[top + row][*channels * from..*channels * to], *channels, now);
-            (row, column, rest) = (row + 1, 0, later);
+            let shares = &mut transmittance[top + row][*channels * from..*channels * to];
+            (row, column, next) = (row + 1, 0, now.end);
+            store(colors, shares, *channels, now);
         }
     }
 
@@ -180,6 +200,41 @@ impl<S: Sample> Patch<'_, S> {
                 color.copy_from_slice(&row.color[..color.len()]);
                 transmittance.fill(S::from_f64(1.0));
             }
+        }
+    }
+}
+
+/// A row of cells on its way into the image, with room for a block behind the last.
+struct CellRow<S> {
+    colors: [[S; 3]; Cells::MOST_COLUMNS + BLOCK],
+    shares: [S; Cells::MOST_COLUMNS + BLOCK],
+}
+
+/// Pixels that are written together.
+const BLOCK: usize = 16;
+
+impl<S: Sample> Default for CellRow<S> {
+    fn default() -> Self {
+        let (color, share) = ([S::default(); 3], S::default());
+        Self { colors: [color; Cells::MOST_COLUMNS + BLOCK], shares: [share; Cells::MOST_COLUMNS + BLOCK] }
+    }
+}
+
+impl<S: Sample> CellRow<S> {
+    /// Writes each cell's pixel up to its end, in whole blocks, the ends of which the next cell writes over.
+    fn spread(&mut self, cells: [&[f64]; 4], ends: impl Iterator<Item = usize>) {
+        let count = cells[3].len();
+        let mut colors = [[S::default(); 3]; Cells::MOST_COLUMNS];
+        let mut shares = [S::default(); Cells::MOST_COLUMNS];
+        S::store(cells, &mut colors[..count], &mut shares[..count]);
+        let mut next = 0;
+        for ((color, share), end) in colors.into_iter().zip(shares).zip(ends) {
+            while next < end {
+                self.colors[next..next + BLOCK].fill(color);
+                self.shares[next..next + BLOCK].fill(share);
+                next += BLOCK;
+            }
+            next = end;
         }
     }
 }

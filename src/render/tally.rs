@@ -17,6 +17,8 @@ pub(super) struct Tally {
     pub one_color_tiles: u64,
     /// ... and those where they came front to back.
     pub layered_tiles: u64,
+    /// Pixels of sums that have those of a neighbour.
+    pub repeated_pixels: u64,
     pub occluded: Occluded,
     pub variants: Vec<VariantTally>,
 }
@@ -34,6 +36,15 @@ impl Tally {
         self.empty_pixels += empty;
     }
 
+    /// The same for cells, each of so many pixels.
+    pub fn count_cells(&mut self, counts: &[u32], pixels: impl Iterator<Item = usize>) {
+        for (&n, pixels) in counts.iter().zip(pixels) {
+            self.fragments += u64::from(n) * pixels as u64;
+            self.deepest = self.deepest.max(n.into());
+            self.empty_pixels += if n == 0 { pixels as u64 } else { 0 };
+        }
+    }
+
     /// Adds what a variant did while rasterising.
     pub fn streamed(&mut self, variant: usize, nanos: u64) {
         self.streaming_nanos += nanos;
@@ -49,6 +60,7 @@ impl Tally {
         self.empty_pixels += other.empty_pixels;
         self.one_color_tiles += other.one_color_tiles;
         self.layered_tiles += other.layered_tiles;
+        self.repeated_pixels += other.repeated_pixels;
         self.occluded.add(other.occluded);
         for (mine, theirs) in self.variants.iter_mut().zip(&other.variants) {
             mine.nanos += theirs.nanos;

@@ -9,8 +9,8 @@ use crate::fragments::Lists;
 use crate::frame::Sample;
 use crate::raster::{Cover, Order, Raster, Rect, Sink, Tile, TileLists};
 use crate::resolve::{Resolver, nanos_since};
-use crate::stream::{TileBlend, TileOver, TileSums, over_lists};
-use crate::technique::{Batch, Finished, Resolved, Streamed};
+use crate::stream::{Cells, TileBlend, TileOver, TileSums, over_lists};
+use crate::technique::{Batch, FinishedPixels, Resolved, Streamed};
 use std::ops::Range;
 use std::time::Instant;
 
@@ -34,7 +34,7 @@ pub(super) struct Worker<'r, 'v> {
     resolver: Resolver,
     resolved: Vec<Vec<Resolved>>,
     /// Pixels on their way into the image.
-    pixels: Vec<Finished>,
+    pixels: FinishedPixels,
 }
 
 impl<'v> Worker<'_, 'v> {
@@ -55,7 +55,7 @@ impl<'v> Worker<'_, 'v> {
             whole: [Lists::new(), Lists::new()],
             resolver: Resolver::default(),
             resolved: vec![Vec::new(); job.variants.len()],
-            pixels: Vec::new(),
+            pixels: FinishedPixels::default(),
         }
     }
 }
@@ -184,7 +184,7 @@ impl Job<'_> {
                 }
                 all => drawn.transparent(raster, tile, Order::Submission, all, stop),
             };
-            sums.flush();
+            sums.flush(self.options.skip && drawn.background().is_one_color());
             if lists_wanted && lists.is_over_budget() {
                 return Drawn::TooDeep;
             }
@@ -208,13 +208,16 @@ impl Job<'_> {
             return Drawn::Stopped;
         }
         tally.occluded.add(occluded.unwrap_or(drawn.occluded()));
-        tally.count(match () {
-            () if lists_wanted => lists.counts(),
-            () if over_wanted => over.counts(),
-            () if !plan.sums.is_empty() => sums.counts(),
-            () if !plan.blends.is_empty() => blend.counts(),
-            () => painter.counts(),
-        });
+        let cells = sums.cells();
+        tally.repeated_pixels += cells.map_or(0, |cells| (rect.area() - cells.count()) as u64);
+        match cells {
+            _ if lists_wanted => tally.count(lists.counts()),
+            _ if over_wanted => tally.count(over.counts()),
+            _ if !plan.blends.is_empty() => tally.count(blend.counts()),
+            _ if !plan.painters.is_empty() => tally.count(painter.counts()),
+            None => tally.count(sums.counts()),
+            Some(cells) => tally.count_cells(sums.counts(), cells.pixels()),
+        }
         Drawn::Done { lists: lists_wanted, over: over_wanted }
     }
 
@@ -231,7 +234,11 @@ impl Job<'_> {
         let Worker { tile, sums, blend, painter, over, pixels, .. } = worker;
         let background = tile.background();
         for (i, &v) in plan.sums.iter().enumerate() {
-            store(v, rect, patch, tally, pixels, |range, out| sums.finish(i, range, background, out));
+            let finish = |range, out: &mut FinishedPixels| sums.finish(i, range, background, out);
+            match sums.cells() {
+                None => store(v, rect, patch, tally, pixels, finish),
+                Some(cells) => store_cells(v, rect, cells, patch, tally, pixels, finish),
+            }
             tally.variants[v].invalid_weights += sums.invalid(i);
         }
         plan.sums.iter().zip(sums.nanos()).for_each(|(&v, nanos)| tally.streamed(v, nanos));
@@ -368,13 +375,29 @@ fn store<S: Sample>(
     rect: &Rect,
     patch: &mut Patch<'_, S>,
     tally: &mut Tally,
-    pixels: &mut Vec<Finished>,
-    mut finish: impl FnMut(Range<usize>, &mut Vec<Finished>),
+    pixels: &mut FinishedPixels,
+    mut finish: impl FnMut(Range<usize>, &mut FinishedPixels),
 ) {
     let start = Instant::now();
     for first in (0..rect.area()).step_by(BATCH_PIXELS) {
         finish(first..(first + BATCH_PIXELS).min(rect.area()), pixels);
         patch.store_finished(v, rect, first, pixels);
     }
+    tally.variants[v].nanos += nanos_since(start);
+}
+
+/// The same for the pixels of cells, each of which is finished once.
+fn store_cells<S: Sample>(
+    v: usize,
+    rect: &Rect,
+    cells: &Cells,
+    patch: &mut Patch<'_, S>,
+    tally: &mut Tally,
+    pixels: &mut FinishedPixels,
+    finish: impl FnOnce(Range<usize>, &mut FinishedPixels),
+) {
+    let start = Instant::now();
+    finish(0..cells.count(), pixels);
+    patch.fill(v, rect, cells, pixels);
     tally.variants[v].nanos += nanos_since(start);
 }

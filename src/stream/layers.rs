@@ -5,7 +5,7 @@
 
 use super::{Stopwatch, flat_color, reset, shade};
 use crate::raster::{Cover, Opaque, Premultiplied, Rect, Run, Sink};
-use crate::technique::Finished;
+use crate::technique::FinishedPixels;
 use multiversion::multiversion;
 
 /// `over` of a tile whose primitives come front to back.
@@ -45,9 +45,11 @@ impl TileOver {
     }
 
     /// Pixels `first..last` over their backgrounds.
-    pub fn finish(&self, pixels: std::ops::Range<usize>, background: &Opaque, out: &mut Vec<Finished>) {
-        out.resize(pixels.len(), [0.0; 4]);
-        over_background(&self.planes, pixels.start, &background.colors()[pixels], out);
+    pub fn finish(&self, pixels: std::ops::Range<usize>, background: &Opaque, out: &mut FinishedPixels) {
+        out.resize(pixels.len());
+        let [r, g, b, transmittance] = &self.planes;
+        let layers = [&r[pixels.clone()], &g[pixels.clone()], &b[pixels.clone()]];
+        put_over(layers, &transmittance[pixels.clone()], &background.colors()[pixels], out.planes_mut());
     }
 }
 
@@ -99,29 +101,25 @@ impl TileOver {
     }
 }
 
+/// Layers over the background.
 #[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
-fn over_background(
-    [r, g, b, t]: &[Vec<f64>; 4],
-    first: usize,
+fn put_over(
+    [r, g, b]: [&[f64]; 3],
+    transmittance: &[f64],
     background: &[[f32; 3]],
-    out: &mut [Finished],
+    [to_r, to_g, to_b, share]: [&mut [f64]; 4],
 ) {
-    for (i, (background, out)) in (first..).zip(background.iter().zip(out)) {
-        let (layers, t) = ([r[i], g[i], b[i], 0.0], t[i]);
-        *out = put_behind(layers, t, *background);
+    // slices of one length need no checks, and the loop becomes one of vectors across the pixels
+    let pixels = background.len();
+    let (r, g, b, transmittance) = (&r[..pixels], &g[..pixels], &b[..pixels], &transmittance[..pixels]);
+    let (to_r, to_g, to_b) = (&mut to_r[..pixels], &mut to_g[..pixels], &mut to_b[..pixels]);
+    for i in 0..pixels {
+        let (behind, t) = (background[i], transmittance[i]);
+        to_r[i] = r[i] + t * f64::from(behind[0]);
+        to_g[i] = g[i] + t * f64::from(behind[1]);
+        to_b[i] = b[i] + t * f64::from(behind[2]);
     }
-}
-
-/// A layer over the background; the fourth channel comes out as the background's share.
-#[inline(always)]
-#[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
-fn put_behind(layers: [f64; 4], transmittance: f64, [r, g, b]: [f32; 3]) -> Finished {
-    let background = [r, g, b, 1.0];
-    let mut pixel = [0.0; 4];
-    for channel in 0..4 {
-        pixel[channel] = layers[channel] + transmittance * f64::from(background[channel]);
-    }
-    pixel
+    share.copy_from_slice(transmittance);
 }
 
 fn count(runs: &[Run], counts: &mut [u32]) {
@@ -183,9 +181,10 @@ impl TileBlend {
     }
 
     /// Pixels `first..last` over their backgrounds.
-    pub fn finish(&self, pixels: std::ops::Range<usize>, background: &Opaque, out: &mut Vec<Finished>) {
-        out.resize(pixels.len(), [0.0; 4]);
-        blend_background(&self.target, &self.transmittance, pixels.start, &background.colors()[pixels], out);
+    pub fn finish(&self, pixels: std::ops::Range<usize>, background: &Opaque, out: &mut FinishedPixels) {
+        out.resize(pixels.len());
+        let (target, transmittance) = (&self.target[pixels.clone()], &self.transmittance[pixels.clone()]);
+        blend_over(target, transmittance, &background.colors()[pixels], out.planes_mut());
     }
 }
 
@@ -247,16 +246,20 @@ fn blend_flat(
 }
 
 #[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
-fn blend_background(
+fn blend_over(
     target: &[[f32; 4]],
     transmittance: &[f64],
-    first: usize,
     background: &[[f32; 3]],
-    out: &mut [Finished],
+    [r, g, b, share]: [&mut [f64]; 4],
 ) {
-    for (i, (background, out)) in (first..).zip(background.iter().zip(out)) {
-        let [r, g, b, _] = target[i];
-        let layers = [f64::from(r), f64::from(g), f64::from(b), 0.0];
-        *out = put_behind(layers, transmittance[i], *background);
+    let pixels = background.len();
+    let (target, transmittance) = (&target[..pixels], &transmittance[..pixels]);
+    let (r, g, b) = (&mut r[..pixels], &mut g[..pixels], &mut b[..pixels]);
+    for i in 0..pixels {
+        let (layers, behind, t) = (target[i], background[i], transmittance[i]);
+        r[i] = f64::from(layers[0]) + t * f64::from(behind[0]);
+        g[i] = f64::from(layers[1]) + t * f64::from(behind[1]);
+        b[i] = f64::from(layers[2]) + t * f64::from(behind[2]);
     }
+    share.copy_from_slice(transmittance);
 }

@@ -1,7 +1,7 @@
 //! Compositing of sorted lists, eight pixels at a time.
 
 use crate::raster::{LANES, NOTHING, TileLists};
-use crate::technique::Finished;
+use crate::technique::FinishedPixels;
 use multiversion::multiversion;
 use std::ops::Range;
 
@@ -13,10 +13,10 @@ pub fn over_lists(
     pixels: Range<usize>,
     background: &[[f32; 3]],
     skip: bool,
-    out: &mut Vec<Finished>,
+    out: &mut FinishedPixels,
 ) -> u64 {
-    out.resize(pixels.len(), [0.0; 4]);
-    over_groups(lists, pixels.start, &background[pixels], skip && lists.any_covers(), out)
+    out.resize(pixels.len());
+    over_groups(lists, pixels.start, &background[pixels], skip && lists.any_covers(), out.planes_mut())
 }
 
 #[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
@@ -25,18 +25,19 @@ fn over_groups(
     first: usize,
     background: &[[f32; 3]],
     skip: bool,
-    out: &mut [Finished],
+    [r, g, b, share]: [&mut [f64]; 4],
 ) -> u64 {
     let mut hidden = 0;
-    let pixels = background.chunks(LANES).zip(out.chunks_mut(LANES));
-    for (group, (background, out)) in (first / LANES..).zip(pixels) {
+    let colors = r.chunks_mut(LANES).zip(g.chunks_mut(LANES)).zip(b.chunks_mut(LANES));
+    let pixels = background.chunks(LANES).zip(colors.zip(share.chunks_mut(LANES)));
+    for (group, (background, (((r, g), b), share))) in (first / LANES..).zip(pixels) {
         let (mut sums, mut transmittance) = ([[0.0; LANES]; 3], [1.0; LANES]);
         let rows = lists.rows_of(group);
         for (i, row) in rows.iter().enumerate() {
-            let [r, g, b, alpha] = lists.colors_of(row, group * LANES);
-            add(&mut sums[0], &transmittance, &r);
-            add(&mut sums[1], &transmittance, &g);
-            add(&mut sums[2], &transmittance, &b);
+            let [red, green, blue, alpha] = lists.colors_of(row, group * LANES);
+            add(&mut sums[0], &transmittance, &red);
+            add(&mut sums[1], &transmittance, &green);
+            add(&mut sums[2], &transmittance, &blue);
             let mut behind = transmittance;
             for lane in 0..LANES {
                 behind[lane] *= 1.0 - f64::from(alpha[lane]);
@@ -48,13 +49,13 @@ fn over_groups(
                 break;
             }
         }
-        for (lane, (background, out)) in background.iter().zip(out).enumerate() {
-            let layers = [sums[0][lane], sums[1][lane], sums[2][lane]];
-            for channel in 0..3 {
-                out[channel] = layers[channel] + transmittance[lane] * f64::from(background[channel]);
-            }
-            out[3] = transmittance[lane];
+        for (lane, background) in background.iter().enumerate() {
+            let behind = background.map(|channel| transmittance[lane] * f64::from(channel));
+            r[lane] = sums[0][lane] + behind[0];
+            g[lane] = sums[1][lane] + behind[1];
+            b[lane] = sums[2][lane] + behind[2];
         }
+        share.copy_from_slice(&transmittance[..share.len()]);
     }
     hidden
 }

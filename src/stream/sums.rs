@@ -5,18 +5,21 @@
 //!
 //! [`BlendSums::add`]: crate::continuum::sums::BlendSums::add
 
+mod cells;
 mod deferred;
 mod kernels;
 mod pending;
+mod rows;
 
 use super::{Stopwatch, flat_color, reset, shade};
 use crate::continuum::sums::{Blended, FAINT, SumsOf};
 use crate::raster::{Cover, Opaque, Premultiplied, Rect, Sink};
 use crate::resolve::nanos_since;
-use crate::technique::Finished;
+use crate::technique::FinishedPixels;
 use crate::weight::Weighting;
+pub use cells::Cells;
 use deferred::Deferred;
-use kernels::{add_constant, add_few, add_flat, add_shaded, attenuate};
+use kernels::{Places, add_constant, add_few, add_flat, add_shaded, attenuate, blend_few, blend_flat};
 use pending::Pending;
 use std::ops::Range;
 use std::time::Instant;
@@ -31,14 +34,27 @@ pub struct TileSums<'a> {
     pending: Pending,
     /// What waits for weights of somebody's own.
     deferred: Deferred,
-    /// Pixels per row.
-    columns: usize,
+    rect: Rect,
+    cells: Cells,
+    kept: Kept,
     /// The colours of the primitive at hand, if it has several.
     colors: Vec<Premultiplied>,
     alpha: Vec<f32>,
     depth: Vec<f32>,
     /// The weights of its pixels.
     weight: Vec<f32>,
+}
+
+/// What there are sums for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+enum Kept {
+    /// Nothing yet.
+    #[default]
+    Nothing,
+    /// Every pixel.
+    Pixels,
+    /// Every cell.
+    Cells,
 }
 
 /// A weight that some variants share.
@@ -56,7 +72,7 @@ impl Weight<'_> {
     }
 }
 
-/// The running sums of a tile's pixels.
+/// The running sums of a tile's pixels or cells.
 #[derive(Default)]
 struct Sums {
     /// Σ w (r, g, b, a) for every weight.
@@ -67,6 +83,20 @@ struct Sums {
     counts: Vec<u32>,
     /// Whether anything was added to `coverage`.
     faint: bool,
+}
+
+impl Sums {
+    /// No fragments, in so many places.
+    fn clear(&mut self, places: usize) {
+        let Self { weighted, transmittance, coverage, counts, faint } = self;
+        reset(transmittance, places, 1.0);
+        if *faint || coverage.len() != places {
+            reset(coverage, places, 0.0);
+            *faint = false;
+        }
+        reset(counts, places, 0);
+        weighted.iter_mut().for_each(|sums| reset(sums, places, [0.0; 4]));
+    }
 }
 
 impl<'a> TileSums<'a> {
@@ -93,36 +123,55 @@ impl<'a> TileSums<'a> {
         all
     }
 
-    /// Clears the sums for the pixels of `rect`.
+    /// Begins with the pixels of `rect`.
     pub fn begin(&mut self, rect: Rect) {
-        let Sums { weighted, transmittance, coverage, counts, faint } = &mut self.sums;
-        self.pending.clear();
+        self.pending.begin(rect.height());
         self.deferred.clear();
         self.weights.iter_mut().for_each(|weight| weight.invalid = 0);
-        self.columns = rect.width();
-        reset(transmittance, rect.area(), 1.0);
-        if *faint || coverage.len() != rect.area() {
-            reset(coverage, rect.area(), 0.0);
-            *faint = false;
-        }
-        reset(counts, rect.area(), 0);
-        weighted.iter_mut().for_each(|sums| reset(sums, rect.area(), [0.0; 4]));
+        self.rect = rect;
+        self.kept = Kept::Nothing;
     }
 
-    /// Has to come after the last primitive: some may not have been blended yet.
-    pub fn flush(&mut self) {
+    /// Has to come after the last primitive: some may not have been blended yet. `share` says whether pixels
+    /// may share their sums: where the same is behind all of them.
+    pub fn flush(&mut self, share: bool) {
+        if self.weights.is_empty() {
+            return;
+        }
+        let untouched = self.kept == Kept::Nothing && share;
+        if untouched && self.pending.find_cells(&self.rect, &mut self.cells) {
+            self.keep_sums(Kept::Cells);
+            self.blend_pending();
+            return;
+        }
+        self.keep_sums(Kept::Pixels);
         self.flush_deferred();
         self.flush_pending();
     }
 
+    /// Clears the sums if there are none yet.
+    #[inline]
+    fn keep_sums(&mut self, of: Kept) {
+        if self.kept == Kept::Nothing {
+            self.kept = of;
+            self.sums.clear(if of == Kept::Cells { self.cells.count() } else { self.rect.area() });
+        }
+    }
+
     fn flush_pending(&mut self) {
         if !self.pending.is_empty() {
-            let start = Instant::now();
-            self.pending.blend(self.columns, &mut self.weights, &mut self.sums, &mut self.weight);
-            // alone, each weight would have to do about as much
-            let share = nanos_since(start) / self.weights.len() as u64;
-            self.weights.iter_mut().for_each(|weight| weight.stopwatch.add(share));
+            self.keep_sums(Kept::Pixels);
+            self.blend_pending();
         }
+    }
+
+    fn blend_pending(&mut self) {
+        let start = Instant::now();
+        let cells = (self.kept == Kept::Cells).then_some(&self.cells);
+        self.pending.blend(&self.rect, cells, &mut self.weights, &mut self.sums, &mut self.weight);
+        // alone, each weight would have to do about as much
+        let share = nanos_since(start) / self.weights.len() as u64;
+        self.weights.iter_mut().for_each(|weight| weight.stopwatch.add(share));
     }
 
     fn flush_deferred(&mut self) {
@@ -136,20 +185,25 @@ impl<'a> TileSums<'a> {
         self.weights[self.variants[v].1].invalid
     }
 
-    /// Fragments per pixel.
+    /// The cells whose sums are kept in place of the pixels'.
+    pub fn cells(&self) -> Option<&Cells> {
+        (self.kept == Kept::Cells).then_some(&self.cells)
+    }
+
+    /// Fragments per pixel, or per pixel of a cell.
     pub fn counts(&self) -> &[u32] {
         &self.sums.counts
     }
 
-    /// Some pixels of variant `v`.
-    pub fn finish(&self, v: usize, pixels: Range<usize>, background: &Opaque, out: &mut Vec<Finished>) {
+    /// Some pixels of variant `v`, or one of each of some cells.
+    pub fn finish(&self, v: usize, places: Range<usize>, background: &Opaque, out: &mut FinishedPixels) {
         let (technique, place) = self.variants[v];
         let sums = SumsOf {
-            weighted: &self.sums.weighted[place][pixels.clone()],
-            transmittance: &self.sums.transmittance[pixels.clone()],
-            coverage: &self.sums.coverage[pixels.clone()],
-            counts: &self.sums.counts[pixels.clone()],
-            background: &background.colors()[pixels],
+            weighted: &self.sums.weighted[place][places.clone()],
+            transmittance: &self.sums.transmittance[places.clone()],
+            coverage: &self.sums.coverage[places.clone()],
+            counts: &self.sums.counts[places.clone()],
+            background: &background.colors()[places],
         };
         technique.finish_all(&sums, out);
     }
@@ -170,7 +224,8 @@ impl<'r> Sink<'r> for TileSums<'_> {
             Some(color) if !cover.is_small() && self.is_constant(cover) => self.keep(cover, color),
             flat => {
                 self.flush_pending();
-                let fused = self.take_few(cover);
+                self.keep_sums(Kept::Pixels);
+                let fused = self.take_first(cover);
                 self.blend(cover, flat, fused);
                 if self.deferred.is_wanted() {
                     self.defer(cover, flat);
@@ -190,7 +245,7 @@ impl TileSums<'_> {
     /// Keeps a primitive that is the same everywhere for later.
     fn keep(&mut self, cover: &Cover<'_, '_>, color: Premultiplied) {
         self.flush_deferred();
-        self.pending.push(cover, color);
+        self.pending.push(&self.rect, cover, color);
         if self.pending.is_full() {
             self.flush_pending();
         }
@@ -207,12 +262,11 @@ impl TileSums<'_> {
         }
     }
 
-    /// Blends in a small primitive of one colour whose depth varies: the background and the first weight in one
-    /// go.
+    /// Blends in a primitive of one colour whose depth varies: the background and the first weight in one go.
     #[inline(always)]
     #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
-    fn take_few(&mut self, cover: &Cover<'_, '_>) -> bool {
-        let (Some(color), None, true) = (flat_color(cover), cover.constant_depth, cover.is_small()) else {
+    fn take_first(&mut self, cover: &Cover<'_, '_>) -> bool {
+        let (Some(color), None) = (flat_color(cover), cover.constant_depth) else {
             return false;
         };
         let Some(Weight { weighting: Some(weighting), stopwatch, .. }) = self.weights.first_mut() else {
@@ -221,27 +275,21 @@ impl TileSums<'_> {
         if weighting.is_own() {
             return false;
         }
-        let Sums { weighted, transmittance, counts, .. } = &mut self.sums;
-        let sums = &mut weighted[0];
         let start = stopwatch.start();
         weigh_flat(weighting, cover, color[3], &mut self.alpha, &mut self.weight);
-        let left = 1.0 - f64::from(color[3]);
-        for (&pixel, weight) in cover.places.iter().zip(&self.weight) {
-            let pixel = pixel as usize;
-            transmittance[pixel] *= left;
-            counts[pixel] += 1;
-            let mut sum = sums[pixel];
-            for channel in 0..4 {
-                sum[channel] += weight * color[channel];
-            }
-            sums[pixel] = sum;
+        let Sums { weighted, transmittance, counts, .. } = &mut self.sums;
+        let places = Places { transmittance, counts, sums: &mut weighted[0] };
+        if cover.is_small() {
+            blend_few(cover.places, &self.weight, color, places);
+        } else {
+            blend_flat(cover.runs, &self.weight, color, places);
         }
         stopwatch.stop(start);
         self.cover_if_faint(cover, color[3].into());
         true
     }
 
-    /// Blends in a primitive, or what [`TileSums::take_few`] has left of it.
+    /// Blends in a primitive, or what [`TileSums::take_first`] has left of it.
     #[inline(always)]
     #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
     fn blend(&mut self, cover: &Cover<'_, '_>, flat: Option<Premultiplied>, fused: bool) {

@@ -4,7 +4,7 @@ use crate::continuum::nodes::{Nodes, bytes_of_sums, sums};
 use crate::error::Result;
 use crate::format::{Formats, Target};
 use crate::fragments::List;
-use crate::gpu::form::{Form, Listing, Path, Sorting, only, only_default_formats};
+use crate::gpu::form::{Form, MOST_LAYERS, Path, Streaming, at_most, only_single_formats};
 use crate::order::sort_key;
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{
@@ -72,20 +72,27 @@ fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
     })
 }
 
-/// Its form on a GPU: exactly as much room as there are fragments, in f32.
+/// Its form on a GPU: exactly as much room as there are fragments, or as there may be, in f32.
 fn gpu(params: &Params, _view: &View) -> Result<Form> {
-    only(params, "overflow", "grow")?;
-    only_default_formats(params, INFO.targets)?;
+    only_single_formats(params, INFO.targets)?;
+    let blends_tail = has_tail(params);
+    let capacity = if params.text("overflow") == "grow" { 0 } else { params.size("capacity") };
+    let stream = if blends_tail {
+        Streaming::as_submitted(params).of_layers(at_most(params, "capacity", MOST_LAYERS)?)
+    } else {
+        // the shader keeps none of them
+        Streaming::nearest_first().of_layers(1)
+    };
+    let stream = match u32::try_from(capacity) {
+        Ok(capacity) if capacity > 0 && !blends_tail => stream.of_fragments(capacity, params),
+        // there are never so many
+        _ => stream,
+    };
     Ok(Form {
         weight: None,
         shader: include_str!("../../shaders/a_buffer.wgsl"),
         numbers: Vec::new(),
-        path: Path::Listed(Listing {
-            resolve: "composite",
-            sorted: Sorting::Depth,
-            layers: None,
-            sizes: vec![],
-        }),
+        path: Path::Streamed(stream.of_sizes(vec![("BLENDS_TAIL", blends_tail.into())])),
         shows_zero_fragments: false,
         colored_transmittance: false,
     })

@@ -12,7 +12,7 @@ use crate::continuum::rounded_steps::RoundedSteps;
 use crate::continuum::stored_pass::StoredPass;
 use crate::error::Result;
 use crate::format::{Formats, Target};
-use crate::gpu::form::{Form, Listing, Number, Path, layers, only_single_formats, submission};
+use crate::gpu::form::{Form, Number, Path, Streaming, layers, only_single_formats};
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{AnyTechnique, Axes, Cost, Info, Properties};
 use crate::techniques::ANY_ORDER;
@@ -75,18 +75,16 @@ fn protected(params: &Params) -> usize {
     if params.bool("protect_front") { (params.size("layers") / 2).max(1) } else { 1 }
 }
 
-/// Its form on a GPU: over lists in submission order, with steps and sums in f32.
+/// Its form on a GPU, with steps and sums in f32.
 #[expect(clippy::cast_possible_truncation, reason = "there are few layers")]
 fn gpu(params: &Params, _view: &View) -> Result<Form> {
     only_single_formats(params, INFO.targets)?;
-    let (sorted, backwards) = submission(params)?;
-    let layers = Some(layers(params)?);
     let protected = Number::Whole(protected(params) as u32);
     Ok(Form {
         weight: None,
         shader: include_str!("../../shaders/adaptive_transparency.wgsl"),
-        numbers: vec![backwards, protected, Composite::from_params(params).number()],
-        path: Path::Listed(Listing { resolve: "resolve", sorted, layers, sizes: vec![] }),
+        numbers: vec![protected, Composite::from_params(params).number()],
+        path: Path::Streamed(Streaming::as_submitted(params).of_layers(layers(params)?).in_walks()),
         shows_zero_fragments: false,
         colored_transmittance: false,
     })

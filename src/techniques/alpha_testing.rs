@@ -7,7 +7,7 @@ use crate::continuum::nodes::{LAYERS, Nodes};
 use crate::continuum::normalize::Unnormalized;
 use crate::continuum::opacity::Alpha;
 use crate::error::Result;
-use crate::gpu::form::{Form, Listing, Number, Path, Sorting, only_single_formats};
+use crate::gpu::form::{Form, Number, Path, Streaming, only_single_formats};
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{AnyTechnique, Axes, Cost, Info, Properties};
 use crate::techniques::ANY_ORDER;
@@ -57,7 +57,7 @@ fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
     Ok(list.stored(nodes))
 }
 
-/// Its form on a GPU: the first fragment of each list that passes.
+/// Its form on a GPU: one node in f32.
 fn gpu(params: &Params, _view: &View) -> Result<Form> {
     only_single_formats(params, INFO.targets)?;
     Ok(Form {
@@ -65,12 +65,7 @@ fn gpu(params: &Params, _view: &View) -> Result<Form> {
         shader: include_str!("../../shaders/alpha_testing.wgsl"),
         // an f32 is larger than a number if it is larger than the next f32 below
         numbers: vec![Number::below(params.float("threshold"))],
-        path: Path::Listed(Listing {
-            resolve: "resolve",
-            sorted: Sorting::Depth,
-            layers: None,
-            sizes: Vec::new(),
-        }),
+        path: Path::Streamed(Streaming::in_any_order()),
         shows_zero_fragments: false,
         colored_transmittance: false,
     })

@@ -6,7 +6,7 @@ use crate::continuum::stored_oracle::{NODE_DEPTH, NODES, StoredOracle, technique
 use crate::error::Result;
 use crate::format::{Format, Formats, SUMMATION, Target};
 use crate::fragments::Fragment;
-use crate::gpu::form::{Form, Listing, Number, Path, layers, only, only_single_formats, submission};
+use crate::gpu::form::{Form, Number, Path, Streaming, layers, only, only_single_formats};
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties};
 use crate::techniques::ANY_ORDER;
@@ -59,18 +59,16 @@ fn build(params: &Params, _view: &View) -> Result<Box<dyn AnyTechnique>> {
     Ok(technique(oracle, &TARGETS, params))
 }
 
-/// Its form on a GPU: over lists in submission order, with nodes and sums in f32.
+/// Its form on a GPU, with nodes and sums in f32.
 fn gpu(params: &Params, _view: &View) -> Result<Form> {
     only_single_formats(params, INFO.targets)?;
     only(params, "summation", "plain")?;
-    let (sorted, backwards) = submission(params)?;
-    let layers = Some(layers(params)?);
     let [thickness, rest] = Number::in_two(params.float("thickness").min(f32::MAX.into()));
     Ok(Form {
         weight: None,
         shader: include_str!("../../shaders/avsm.wgsl"),
-        numbers: vec![backwards, Composite::from_params(params).number(), thickness, rest],
-        path: Path::Listed(Listing { resolve: "resolve", sorted, layers, sizes: vec![] }),
+        numbers: vec![Composite::from_params(params).number(), thickness, rest],
+        path: Path::Streamed(Streaming::as_submitted(params).of_layers(layers(params)?).in_walks()),
         shows_zero_fragments: false,
         colored_transmittance: false,
     })

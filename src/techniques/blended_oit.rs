@@ -10,7 +10,7 @@ use crate::format::{FormatSet, Formats, SUMMATION, Summation, Target};
 use crate::gpu::form::{Blend, BlendTarget, Blending, Form, Number, Path, SHARES, only, target_format};
 use crate::params::{Params, View};
 use crate::technique::{
-    AnyTechnique, Axes, Cost, DepthComplexity, Finished, Info, Pixel, Properties, Resolved, Streamed,
+    AnyTechnique, Axes, Cost, DepthComplexity, FinishedPixels, Info, Pixel, Properties, Resolved, Streamed,
     Technique,
 };
 use crate::techniques::ANY_ORDER;
@@ -78,7 +78,7 @@ impl Blended for BlendedOit {
         sums.over(background)
     }
 
-    fn finish_all(&self, pixels: &SumsOf<'_>, out: &mut Vec<Finished>) {
+    fn finish_all(&self, pixels: &SumsOf<'_>, out: &mut FinishedPixels) {
         pixels.over(out);
     }
 }

@@ -7,7 +7,7 @@ use crate::error::Result;
 use crate::format::{Format, Formats};
 use crate::fragments::{Fragment, List};
 use crate::gpu::form::{
-    BlendTarget, Ends, Form, Number, Path, Peeling, SHARES, target_format, window_exponent,
+    BlendTarget, Ends, Form, Number, Path, Peeling, SHARES, saturated, target_format, window_exponent,
 };
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{
@@ -82,6 +82,7 @@ fn gpu(params: &Params, view: &View) -> Result<Form> {
     target_format(params, &formats, "depth", "depth_format", &[Format::F32])?;
     let enough = if params.bool("early_out") { HARDLY_VISIBLE } else { 0.0 };
     let passes = params.size("passes");
+    let most = if passes > 0 { passes } else { usize::MAX };
     let peeling = Peeling {
         ends: Ends::Nearest,
         peel: "peel",
@@ -93,7 +94,7 @@ fn gpu(params: &Params, view: &View) -> Result<Form> {
     Ok(Form {
         weight: None,
         shader: include_str!("../../shaders/depth_peeling.wgsl"),
-        numbers: vec![window_exponent(view), Number::float(enough)],
+        numbers: vec![window_exponent(view), Number::float(enough), saturated(most)],
         path: Path::Peeled(peeling),
         shows_zero_fragments: false,
         colored_transmittance: false,

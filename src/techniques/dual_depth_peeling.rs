@@ -6,9 +6,7 @@ use crate::continuum::sums::blend;
 use crate::error::Result;
 use crate::format::{Format, Formats};
 use crate::fragments::Fragment;
-use crate::gpu::form::{
-    BlendTarget, Ends, Form, Listing, Number, Path, Peeling, Sorting, only_default_formats,
-};
+use crate::gpu::form::{BlendTarget, Ends, Form, Path, Peeling, Streaming, only_default_formats, saturated};
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{
     AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties, Resolved, Technique,
@@ -62,7 +60,7 @@ fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
     Ok(Box::new(Placed::new(StoredDualPeeling { peeling, nodes }, nodes.depths)))
 }
 
-/// Its form on a GPU: as published, where it goes on until nothing is left; lists, where passes are limited, since how many
+/// Its form on a GPU: as published, where it goes on until nothing is left; a stream, where passes are limited, since how many
 /// of the fragments at one depth are within the limit is nothing that a blend unit could know.
 fn gpu(params: &Params, _view: &View) -> Result<Form> {
     only_default_formats(params, INFO.targets)?;
@@ -80,12 +78,12 @@ fn gpu(params: &Params, _view: &View) -> Result<Form> {
             passes: None,
         })
     } else {
-        Path::Listed(Listing { resolve: "resolve_list", sorted: Sorting::Depth, layers: None, sizes: vec![] })
+        Path::Streamed(Streaming::nearest_first().in_walks())
     };
     Ok(Form {
         weight: None,
         shader: include_str!("../../shaders/dual_depth_peeling.wgsl"),
-        numbers: vec![Number::Whole(u32::try_from(passes).unwrap_or(u32::MAX))],
+        numbers: vec![saturated(if passes == 0 { usize::MAX } else { passes })],
         path,
         shows_zero_fragments: false,
         colored_transmittance: false,

@@ -8,8 +8,7 @@ use crate::error::Result;
 use crate::format::{Format, FormatSet, Formats, SUMMATION, Summation, Target};
 use crate::fragments::List;
 use crate::gpu::form::{
-    BlendTarget, Blending, Form, Listing, Number, Path, SUMS, Sorting, only, only_single_formats,
-    target_format,
+    BlendTarget, Blending, Form, Number, Path, SUMS, Streaming, only, only_single_formats, target_format,
 };
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{
@@ -99,7 +98,7 @@ const LISTED: &str = concat!(
     include_str!("../../shaders/gs_wsr/listed.wgsl")
 );
 
-/// Its form on a GPU: the blend unit adds up; lists are walked twice where sigma is a pixel's own.
+/// Its form on a GPU: the blend unit adds up; fragments are walked over twice where sigma is a pixel's own.
 fn gpu(params: &Params, _view: &View) -> Result<Form> {
     only(params, "summation", "plain")?;
     let formats = Formats::from_params(INFO.targets, params);
@@ -116,8 +115,7 @@ fn gpu(params: &Params, _view: &View) -> Result<Form> {
         (format, Path::Blended(Blending::once(draw, resolve, targets)))
     } else {
         only_single_formats(params, INFO.targets)?;
-        let (resolve, sorted) = ("resolve_lists", Sorting::Submission);
-        (Format::F32, Path::Listed(Listing { resolve, sorted, layers: None, sizes: Vec::new() }))
+        (Format::F32, Path::Streamed(Streaming::in_any_order().in_walks()))
     };
     // what is positive stays so
     let positive = |x: f64| Number::float(x.max(f32::MIN_POSITIVE.into()));

@@ -10,7 +10,7 @@ use crate::continuum::stored_sums::Recipe;
 use crate::continuum::stored_tail::{StoredGlobal, StoredTail, stored_sums_of};
 use crate::error::Result;
 use crate::format::{Formats, Target};
-use crate::gpu::form::{Form, Listing, Number, Path, Sorting, layers, only_single_formats};
+use crate::gpu::form::{Form, Number, Path, Streaming, layers, only_single_formats};
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{AnyTechnique, Axes, Cost, Info, Pixel, Properties, Resolved};
 use crate::techniques::ANY_ORDER;
@@ -72,19 +72,17 @@ fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
     })
 }
 
-/// Its form on a GPU: over lists in submission order, with nodes and sums in f32.
+/// Its form on a GPU, with nodes and sums in f32.
 fn gpu(params: &Params, _view: &View) -> Result<Form> {
     only_single_formats(params, INFO.targets)?;
-    let layers = Some(layers(params)?);
     let is_counted = params.text("tail") == "count";
     let is_global = params.text("correction") == "global";
-    // no order of submission changes more than the rounding of sums
-    let sorted = Sorting::Submission;
     Ok(Form {
         weight: None,
         shader: include_str!("../../shaders/hybrid_transparency.wgsl"),
         numbers: vec![Number::Whole(is_counted.into()), Number::Whole(is_global.into())],
-        path: Path::Listed(Listing { resolve: "resolve", sorted, layers, sizes: vec![] }),
+        // no order of submission changes more than the rounding of sums
+        path: Path::Streamed(Streaming::in_any_order().of_layers(layers(params)?)),
         shows_zero_fragments: is_counted,
         colored_transmittance: false,
     })

@@ -64,7 +64,7 @@ fn gpu(params: &Params, _view: &View) -> Result<Form> {
         weight: None,
         shader: include_str!("../../shaders/k_buffer.wgsl"),
         numbers: Vec::new(),
-        path: Path::Streamed(Streaming::of_layers(layers(params)?, true)),
+        path: Path::Streamed(Streaming::as_submitted(params).of_layers(layers(params)?)),
         shows_zero_fragments: false,
         colored_transmittance: false,
     })

@@ -10,9 +10,7 @@ use crate::continuum::opacity::{Alpha, Opacity};
 use crate::continuum::range::{DepthRange, Interval, cell};
 use crate::error::Result;
 use crate::fragments::{Fragment, List};
-use crate::gpu::form::{
-    Form, Listing, MOST_LAYERS, Number, Path, at_most, layers, only_default_formats, submission,
-};
+use crate::gpu::form::{Form, MOST_LAYERS, Number, Path, Streaming, at_most, layers, only_default_formats};
 use crate::order::sort_key;
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{AnyTechnique, Axes, Cost, Info, Pixel, Properties};
@@ -106,20 +104,19 @@ fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
     })
 }
 
-/// Its form on a GPU: over lists in submission order, with f32 nodes.
+/// Its form on a GPU, with f32 nodes.
 fn gpu(params: &Params, view: &View) -> Result<Form> {
     only_default_formats(params, INFO.targets)?;
-    let (sorted, backwards) = submission(params)?;
     let layers = layers(params)?;
-    let (resolve, nodes, buckets) = match params.text("mode") {
+    let (mode, nodes, buckets) = match params.text("mode") {
         // a bucket at a time
-        "depth" => ("resolve_depth", layers, at_most(params, "buckets", MOST_BUCKETS)?),
+        "depth" => (DEPTH, layers, at_most(params, "buckets", MOST_BUCKETS)?),
         "transmittance" => {
             let buckets = at_most(params, "buckets", MOST_LAYERS / layers)?;
-            ("resolve_transmittance", layers * buckets, buckets)
+            (TRANSMITTANCE, layers * buckets, buckets)
         }
         // one in front, one behind
-        _ => ("resolve_min_depth", layers.max(2), 0),
+        _ => (MIN_DEPTH, layers.max(2), 0),
     };
     let [front, opaque, dark] = ["front_threshold", "opaque_threshold", "transmittance_threshold"]
         .map(|threshold| params.float(threshold));
@@ -128,7 +125,6 @@ fn gpu(params: &Params, view: &View) -> Result<Form> {
         DepthRange::Fixed(lo, hi) => (false, lo, hi),
     };
     let numbers = vec![
-        backwards,
         Number::Whole(layers),
         Number::Whole(buckets),
         Number::below(front),
@@ -138,15 +134,21 @@ fn gpu(params: &Params, view: &View) -> Result<Form> {
         Number::float(nearest),
         Number::float(farthest),
     ];
+    let stream = Streaming::as_submitted(params).of_layers(nodes).of_sizes(vec![("MODE", mode)]);
     Ok(Form {
         weight: None,
         shader: include_str!("../../shaders/mlab_buckets.wgsl"),
         numbers,
-        path: Path::Listed(Listing { resolve, sorted, layers: Some(nodes), sizes: vec![] }),
+        path: Path::Streamed(stream.in_walks()),
         shows_zero_fragments: false,
         colored_transmittance: false,
     })
 }
+
+/// Modes, as the shader numbers them.
+const DEPTH: u32 = 0;
+const TRANSMITTANCE: u32 = 1;
+const MIN_DEPTH: u32 = 2;
 
 /// Buckets of a depth range on a GPU, at most: each takes a walk over the pixel's fragments.
 const MOST_BUCKETS: u32 = 512;

@@ -13,9 +13,7 @@ use crate::continuum::stored_layers::{Kept, StoredAlpha, StoredLayer};
 use crate::diagnosis::Faults;
 use crate::error::Result;
 use crate::fragments::Fragment;
-use crate::gpu::form::{
-    Form, Listing, MASK_WORDS, Number, Path, layers, only_default_formats, seed, submission,
-};
+use crate::gpu::form::{Form, MASK_WORDS, Number, Path, Streaming, layers, only_default_formats, seed};
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::random::Draws;
 use crate::technique::{AnyTechnique, Axes, Cost, Info, Pixel, Properties};
@@ -92,22 +90,20 @@ fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
     })
 }
 
-/// Its form on a GPU: over lists in submission order, with f32 nodes.
+/// Its form on a GPU, with f32 nodes.
 fn gpu(params: &Params, _view: &View) -> Result<Form> {
     only_default_formats(params, INFO.targets)?;
-    let (sorted, backwards) = submission(params)?;
     let layers = layers(params)?;
     let is_hybrid = params.text("store") == "hybrid";
     let bits = if is_hybrid { 0 } else { mask_bits(params, layers)? };
     let levels = if is_hybrid { (1 << params.size("alpha_bits")) - 1 } else { 0 };
     let [low, high] = seed(params);
-    let resolve = if is_hybrid { "resolve_alphas" } else { "resolve_masks" };
-    let sizes = vec![(MASK_WORDS, bits.div_ceil(32).max(1))];
+    let sizes = vec![(MASK_WORDS, bits.div_ceil(32).max(1)), ("KEEPS_ALPHAS", is_hybrid.into())];
     Ok(Form {
         weight: None,
         shader: include_str!("../../shaders/mlcb.wgsl"),
-        numbers: vec![Number::Whole(bits), Number::Whole(1), low, high, backwards, Number::Whole(levels)],
-        path: Path::Listed(Listing { resolve, sorted, layers: Some(layers), sizes }),
+        numbers: vec![Number::Whole(bits), Number::Whole(1), low, high, Number::Whole(levels)],
+        path: Path::Streamed(Streaming::as_submitted(params).of_layers(layers).of_sizes(sizes)),
         shows_zero_fragments: false,
         colored_transmittance: false,
     })

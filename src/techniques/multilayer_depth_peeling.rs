@@ -8,9 +8,7 @@ use crate::continuum::normalize::Unnormalized;
 use crate::continuum::opacity::Alpha;
 use crate::continuum::range::DepthRange;
 use crate::error::Result;
-use crate::gpu::form::{
-    Form, Listing, MOST_LAYERS, Number, Path, Sorting, Streaming, only, only_default_formats,
-};
+use crate::gpu::form::{Form, MOST_LAYERS, Number, Path, Streaming, only, only_default_formats};
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{AnyTechnique, Axes, Cost, Info, Properties};
 use crate::techniques::ANY_ORDER;
@@ -87,17 +85,18 @@ fn gpu(params: &Params, _view: &View) -> Result<Form> {
     only(params, "mode", "nearest")?;
     let layers = params.size("layers").saturating_mul(params.size("passes"));
     let layers = u32::try_from(layers).unwrap_or(u32::MAX);
-    let path = if layers <= MOST_LAYERS {
-        Path::Streamed(Streaming::of_layers(layers, false))
+    let stream = if layers <= MOST_LAYERS {
+        Streaming::in_any_order().of_layers(layers)
     } else {
         // the shader keeps none of them
-        Path::Listed(Listing { resolve: "resolve", sorted: Sorting::Depth, layers: Some(1), sizes: vec![] })
+        Streaming::nearest_first().of_layers(1)
     };
+    let comes_sorted = ("COMES_SORTED", u32::from(layers > MOST_LAYERS));
     Ok(Form {
         weight: None,
         shader: include_str!("../../shaders/multilayer_depth_peeling.wgsl"),
         numbers: vec![Number::Whole(layers)],
-        path,
+        path: Path::Streamed(stream.of_sizes(vec![comes_sorted])),
         shows_zero_fragments: false,
         colored_transmittance: false,
     })

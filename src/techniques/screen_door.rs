@@ -8,7 +8,7 @@ use crate::continuum::steps::Steps;
 use crate::diagnosis::{Diagnosis, Faults};
 use crate::error::Result;
 use crate::fragments::{Fragment, List};
-use crate::gpu::form::{Form, Listing, Number, Path, Sorting, at_most, only_single_formats};
+use crate::gpu::form::{Form, Number, Path, Streaming, at_most, only_single_formats};
 use crate::order::sort_key;
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{
@@ -57,19 +57,14 @@ fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
     Ok(Box::new(Placed::new(ScreenDoor { thresholds, colors: nodes, bytes }, nodes.depths)))
 }
 
-/// Its form on a GPU: over sorted lists, with nodes in f32.
+/// Its form on a GPU, with nodes in f32.
 fn gpu(params: &Params, _view: &View) -> Result<Form> {
     only_single_formats(params, INFO.targets)?;
     Ok(Form {
         weight: None,
         shader: include_str!("../../shaders/screen_door.wgsl"),
         numbers: vec![Number::Whole(at_most(params, "samples", MOST_SAMPLES)?)],
-        path: Path::Listed(Listing {
-            resolve: "resolve",
-            sorted: Sorting::Depth,
-            layers: None,
-            sizes: Vec::new(),
-        }),
+        path: Path::Streamed(Streaming::nearest_first()),
         shows_zero_fragments: false,
         colored_transmittance: false,
     })

@@ -19,9 +19,7 @@ use crate::continuum::stored_tail::StoredTail;
 use crate::diagnosis::{Diagnosis, Faults};
 use crate::error::Result;
 use crate::format::{Formats, Target};
-use crate::gpu::form::{
-    Form, Listing, Number, Path, Sorting, mask_size, masking, only_single_formats, saturated,
-};
+use crate::gpu::form::{Form, Number, Path, Streaming, mask_size, masking, only_single_formats, saturated};
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{
     AnyTechnique, Axes, Cost, DepthComplexity, Info, Pixel, Properties, Resolved, Technique,
@@ -132,7 +130,7 @@ fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
     })
 }
 
-/// Its form on a GPU: over sorted lists, or as a composition of the continuum; with nodes in f32 and the CPU's masks.
+/// Its form on a GPU: fragments as they are sorted, or as a composition of the continuum; with nodes in f32 and the CPU's masks.
 fn gpu(params: &Params, view: &View) -> Result<Form> {
     only_single_formats(params, INFO.targets)?;
     let setup = Setup::from_params(params, view);
@@ -160,7 +158,7 @@ fn gpu(params: &Params, view: &View) -> Result<Form> {
         weight: None,
         shader: include_str!("../../shaders/slab.wgsl"),
         numbers: masking.into_iter().chain(more).collect(),
-        path: Path::Listed(Listing { resolve: "resolve", sorted: Sorting::Depth, layers: None, sizes }),
+        path: Path::Streamed(Streaming::nearest_first().of_sizes(sizes)),
         shows_zero_fragments: false,
         colored_transmittance: false,
     })

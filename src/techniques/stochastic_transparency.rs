@@ -16,7 +16,10 @@ use crate::diagnosis::{Diagnosis, Faults};
 use crate::error::Result;
 use crate::format::{Format, Formats, Target};
 use crate::fragments::{Fragment, List};
-use crate::gpu::form::{Form, Listing, Number, Path, Sorting, mask_size, masking, only_single_formats};
+use crate::gpu::form::{
+    Blend, BlendTarget, Form, Number, Path, Sampling, Streaming, at_most, mask_size, masking,
+    only_single_formats, window_exponent,
+};
 use crate::order::sort_key;
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{
@@ -89,18 +92,30 @@ fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
     })
 }
 
-/// Its form on a GPU: over sorted lists, with nodes in f32 and the CPU's masks.
-fn gpu(params: &Params, _view: &View) -> Result<Form> {
+/// Its form on a GPU, with nodes in f32 and the CPU's masks.
+fn gpu(params: &Params, view: &View) -> Result<Form> {
     only_single_formats(params, INFO.targets)?;
     let sizes = vec![mask_size(params, "samples")?];
-    let resolve = if params.text("mode") == "color" { "resolve_colors" } else { "resolve_depths" };
+    let sampling = Sampling {
+        shader: include_str!("../../shaders/stochastic_samples.wgsl"),
+        sizes: sizes.clone(),
+        cover: "cover_samples",
+        look: "add_showing",
+        resolve: "resolve",
+        sums: vec![
+            BlendTarget::sums("format", Format::F32, 4),
+            BlendTarget::product("format", Format::F32, 1, Blend::Attenuate),
+        ],
+        samples: at_most(params, "samples", u32::MAX)?,
+    };
     let masking = masking(params, "samples", params.bool("stratified"));
     let corrected = Number::Whole((params.text("correction") == "alpha").into());
+    let keeps_depths = Number::Whole((params.text("mode") == "depth").into());
     Ok(Form {
         weight: None,
         shader: include_str!("../../shaders/stochastic_transparency.wgsl"),
-        numbers: masking.into_iter().chain([corrected]).collect(),
-        path: Path::Listed(Listing { resolve, sorted: Sorting::Depth, layers: None, sizes }),
+        numbers: masking.into_iter().chain([corrected, keeps_depths, window_exponent(view)]).collect(),
+        path: Path::Streamed(Streaming::nearest_first().of_sizes(sizes).or_by_samples(sampling)),
         shows_zero_fragments: false,
         colored_transmittance: false,
     })

@@ -11,7 +11,7 @@ use crate::format::{FormatSet, Formats, SUMMATION, Summation, Target};
 use crate::gpu::form::{Blend, BlendTarget, Blending, Form, Number, Path, SHARES, SUMS, only, target_format};
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{
-    AnyTechnique, Axes, Cost, DepthComplexity, Finished, Info, Pixel, Properties, Resolved, Streamed,
+    AnyTechnique, Axes, Cost, DepthComplexity, FinishedPixels, Info, Pixel, Properties, Resolved, Streamed,
     Technique,
 };
 use crate::techniques::ANY_ORDER;
@@ -164,7 +164,7 @@ impl Blended for Wboit {
         sums.over(background)
     }
 
-    fn finish_all(&self, pixels: &SumsOf<'_>, out: &mut Vec<Finished>) {
+    fn finish_all(&self, pixels: &SumsOf<'_>, out: &mut FinishedPixels) {
         if self.listing3_clamp {
             return finish_each(self, pixels, out);
         }

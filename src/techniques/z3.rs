@@ -8,7 +8,7 @@ use crate::continuum::nodes::{LAYERS, Nodes};
 use crate::continuum::normalize::Unnormalized;
 use crate::continuum::opacity::Alpha;
 use crate::error::Result;
-use crate::gpu::form::{Form, Listing, Number, Path, layers, only_default_formats, submission};
+use crate::gpu::form::{Form, Number, Path, Streaming, layers, only_default_formats};
 use crate::params::{Kind, ParamSpec, Params, Value, View};
 use crate::technique::{AnyTechnique, Axes, Cost, Info};
 use crate::techniques::ANY_ORDER;
@@ -60,17 +60,15 @@ fn build(params: &Params, view: &View) -> Result<Box<dyn AnyTechnique>> {
     Ok(list.stored(nodes))
 }
 
-/// Its form on a GPU: over lists in submission order, with f32 nodes.
+/// Its form on a GPU, with f32 nodes.
 fn gpu(params: &Params, _view: &View) -> Result<Form> {
     only_default_formats(params, INFO.targets)?;
-    let (sorted, backwards) = submission(params)?;
-    let layers = Some(layers(params)?);
     let at_mean = Number::Whole((params.text("merge_depth") == "mean").into());
     Ok(Form {
         weight: None,
         shader: include_str!("../../shaders/z3.wgsl"),
-        numbers: vec![backwards, at_mean],
-        path: Path::Listed(Listing { resolve: "resolve", sorted, layers, sizes: vec![] }),
+        numbers: vec![at_mean],
+        path: Path::Streamed(Streaming::as_submitted(params).of_layers(layers(params)?)),
         shows_zero_fragments: false,
         colored_transmittance: false,
     })

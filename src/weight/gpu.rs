@@ -3,9 +3,8 @@
 use super::{Formula, Function, Planes, Weighting};
 use crate::error::Result;
 use crate::gpu::form::{Number, WeightModule};
-use crate::own::{MAX_ITERATIONS, PREFIX, Source, TURNS};
+use crate::own::{Call, Source, callable, vectors};
 use crate::params::{Params, Setting};
-use std::fmt::Write;
 
 /// A weight for shaders.
 #[derive(Debug, Clone, PartialEq)]
@@ -63,35 +62,13 @@ impl Weighting {
     }
 }
 
-/// Vectors of four that hold so many uniforms. No array is empty.
-fn vectors(uniforms: usize) -> usize {
-    uniforms.div_ceil(4).max(1)
-}
-
 /// The function, and `own_value`, which calls it with its uniforms.
 fn own_module(source: &Source) -> String {
-    let (mut module, names) = source.shader();
-    let uniforms = source.uniforms();
-    let argument = |name: &&str| match uniforms.iter().position(|uniform| uniform == name) {
-        Some(i) => format!("weight.uniforms[{}][{}]", i / 4, i % 4),
-        None => (*name).to_owned(),
+    let call = Call {
+        prefix: "own_",
+        entry: "weight",
+        parameters: "weight: Weight, z: f32, a: f32, d: f32",
+        uniforms: "weight.uniforms",
     };
-    let arguments: Vec<_> = names.iter().map(argument).collect();
-    let written = write!(
-        module,
-        "
-const UNIFORMS = {vectors}u;
-fn own_value(weight: Weight, z: f32, a: f32, d: f32) -> f32 {{
-    {TURNS} = 0u;
-    return {PREFIX}weight({arguments});
-}}
-fn own_is_lost() -> bool {{
-    return {TURNS} >= {MAX_ITERATIONS}u;
-}}
-",
-        vectors = vectors(uniforms.len()),
-        arguments = arguments.join(", "),
-    );
-    written.unwrap_or_else(|_| unreachable!("a string takes everything"));
-    module
+    callable(source, call)
 }

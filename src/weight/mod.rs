@@ -96,7 +96,9 @@ impl Planes {
     }
 }
 
-/// Weights that are computed together.
+/// Weights that are computed together where there are many ...
+const MANY: usize = 16;
+/// ... and where there are few.
 const LANES: usize = 8;
 
 /// Writes the weights of all fragments, within their bounds, in whole vectors: the rest of a slice is computed
@@ -104,31 +106,45 @@ const LANES: usize = 8;
 #[inline(always)]
 #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
 fn fill(at: &Fragments<'_>, weights: &mut [f32], w: impl Fn(f32, f32) -> f32) {
-    let ((depth, depth_rest), (alpha, alpha_rest)) = (at.depth.as_chunks(), at.alpha.as_chunks());
-    let (weights, weights_rest) = weights.as_chunks_mut();
-    for ((weights, z), a) in weights.iter_mut().zip(depth).zip(alpha) {
-        fill_lanes(at.seen, z, a, weights, &w);
-    }
-    if !depth_rest.is_empty() {
+    let rest = fill_blocks::<MANY>(at, weights, &w);
+    let (at, weights) = (at.from(rest), &mut weights[rest..]);
+    let rest = fill_blocks::<LANES>(&at, weights, &w);
+    let (at, weights) = (at.from(rest), &mut weights[rest..]);
+    if !at.depth.is_empty() {
         let (mut z, mut a, mut all) = ([1.0; LANES], [1.0; LANES], [0.0; LANES]);
-        z[..depth_rest.len()].copy_from_slice(depth_rest);
-        a[..depth_rest.len()].copy_from_slice(alpha_rest);
+        z[..at.depth.len()].copy_from_slice(at.depth);
+        a[..at.depth.len()].copy_from_slice(at.alpha);
         fill_lanes(at.seen, &z, &a, &mut all, &w);
-        weights_rest.copy_from_slice(&all[..weights_rest.len()]);
+        weights.copy_from_slice(&all[..weights.len()]);
     }
+}
+
+/// Writes the weights of whole blocks; how many these are together.
+#[inline(always)]
+#[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+fn fill_blocks<const N: usize>(
+    at: &Fragments<'_>,
+    weights: &mut [f32],
+    w: &impl Fn(f32, f32) -> f32,
+) -> usize {
+    let (depth, alpha) = (at.depth.as_chunks::<N>().0, at.alpha.as_chunks::<N>().0);
+    for ((weights, z), a) in weights.as_chunks_mut::<N>().0.iter_mut().zip(depth).zip(alpha) {
+        fill_lanes(at.seen, z, a, weights, w);
+    }
+    N * depth.len()
 }
 
 #[inline(always)]
 #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
-fn fill_lanes(
+fn fill_lanes<const N: usize>(
     seen: Seen,
-    z: &[f32; LANES],
-    a: &[f32; LANES],
-    weights: &mut [f32; LANES],
+    z: &[f32; N],
+    a: &[f32; N],
+    weights: &mut [f32; N],
     w: &impl Fn(f32, f32) -> f32,
 ) {
-    let mut all = [0.0; LANES];
-    for lane in 0..LANES {
+    let mut all = [0.0; N];
+    for lane in 0..N {
         all[lane] = bounded(w(seen.see(z[lane]), a[lane]));
     }
     *weights = all;
@@ -139,6 +155,14 @@ struct Fragments<'a> {
     seen: Seen,
     depth: &'a [f32],
     alpha: &'a [f32],
+}
+
+impl Fragments<'_> {
+    /// Those from the i-th on.
+    #[inline]
+    fn from(&self, i: usize) -> Self {
+        Self { depth: &self.depth[i..], alpha: &self.alpha[i..], ..*self }
+    }
 }
 
 #[inline(always)]

@@ -69,7 +69,7 @@ def label(column: str) -> str:
 
 
 def identity(table: pd.DataFrame) -> list[str]:
-    """Give the columns that say what was rendered, not what came out: scene, technique, params, seed.
+    """Give the columns that say what was rendered, not what came out: scene, technique, params and the like.
 
     A table that lists them itself in `attrs["keys"]`, as those of `oitlab.sweep` do, is believed, too.
 
@@ -79,6 +79,6 @@ def identity(table: pd.DataFrame) -> list[str]:
     >>> identity(pd.DataFrame(columns=["scene", "technique", "weight", "weight.k", "seed", "mse"]))
     ['scene', 'technique', 'weight', 'weight.k', 'seed']
     """
-    known = {"scene", "technique", "seed", *param_types()}
+    known = {"scene", "technique", "backend", "seed", *param_types()}
     keys = set(map(str, table.attrs.get("keys", ())))
     return [n for n in map(str, table.columns) if n in keys or n in known or n.partition(".")[0] in known]

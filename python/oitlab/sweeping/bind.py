@@ -7,20 +7,21 @@ any work, and so that no rule about params is written down twice.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
 from ..fragments import Fragments
 from ..frame import Frame
 from ..registry import techniques
-from ..rendering import checked_variant, render, render_many
+from ..rendering import check_variants, checked_variant, render, render_many
 from ..scene import Scene
 from .custom import technique_fingerprint
 from .grid import Request
 from .identity import canonical
 
+Backend: TypeAlias = Literal["cpu", "gpu"]
 _AT_ONCE = 32
 """Variants of one call: the core looks for duplicates by comparing all pairs."""
 
@@ -35,18 +36,28 @@ class Variant:
     inactive: frozenset[str]
     """Params of the technique that change nothing under the others."""
     identity: str
-    """Canonical text of technique and active params."""
+    """Canonical text of technique and active params, and of the backend unless it is the CPU."""
+    backend: Backend = "cpu"
 
     @property
     def request(self) -> tuple[str, dict[str, Any]]:
         """What `render_many` takes."""
         return self.technique, dict(self.params)
 
+    def on(self, backend: Backend) -> Variant:
+        """Give the same variant of the CPU as one of another backend."""
+        if backend == "cpu":
+            return self
+        return replace(self, backend=backend, identity=canonical([backend, self.identity]))
+
 
 def bound(
-    source: Scene | Fragments, requests: Iterable[Request], seeds: Sequence[int] | None
+    source: Scene | Fragments,
+    requests: Iterable[Request],
+    seeds: Sequence[int] | None,
+    backends: Sequence[Backend] = ("cpu",),
 ) -> list[Variant]:
-    """Resolve requests on a source; each distinct variant once, in order.
+    """Resolve requests on a source; each distinct variant once, in order, its backends side by side.
 
     Parameters
     ----------
@@ -56,19 +67,26 @@ def bound(
         Technique ids with params.
     seeds : sequence of int, optional
         For every variant that draws random numbers.
+    backends : sequence of {"cpu", "gpu"}
+        Where each variant is rendered. No device is asked for what it lacks.
 
     Raises
     ------
     ValueError
-        Params that the core refuses; `seeds` though the grid has seeds of its own.
+        Params that the core refuses, or that have no form on a backend; `seeds` though the grid has seeds of
+        its own.
     """
     probe = _Probe(source)
     given = list(_seeded(requests, seeds))
     frames = probe.frames(given)
+    for backend in backends:
+        check_variants(probe.pixel, given, backend, asks_device=False)
     variants = (probe.variant(request, frame) for request, frame in zip(given, frames, strict=True))
     distinct: dict[str, Variant] = {}
     for variant in variants:
-        distinct.setdefault(variant.identity, variant)
+        for backend in backends:
+            placed = variant.on(backend)
+            distinct.setdefault(placed.identity, placed)
     return list(distinct.values())
 
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -14,7 +14,7 @@ from ..fragments import Fragments
 from ..frame import Frame
 from ..rendering import checked_variant
 from ..scene import Scene
-from .bind import Variant, bound, resolved_identity
+from .bind import Backend, Variant, bound, resolved_identity
 from .grid import Request
 from .identity import core_digest, digest
 from .work import Package, Task
@@ -103,16 +103,27 @@ def wanted_rows(
     requests: list[Request],
     seeds: list[int] | None,
     conditions: Iterable[str],
+    backends: Sequence[Backend] = ("cpu",),
 ) -> list[Wanted]:
-    """Every row of the table, in order; `conditions` are what else its numbers depend on."""
+    """Every row of the table, in order; `conditions` are what else its numbers depend on.
+
+    The keys of rows of the GPU do not say yet which device that is: see `on_device`.
+    """
     same = tuple(conditions)
     rows = []
     for name, source in scenes.items():
         package = packages[name][0]
-        for variant in bound(source, requests, seeds):
+        for variant in bound(source, requests, seeds, backends):
             key = digest(package, variant.identity, __version__, core_digest(), *same)
             rows.append(Wanted(name, package, key, variant))
     return rows
+
+
+def on_device(wanted: Iterable[Wanted], device: str) -> list[Wanted]:
+    """Give rows whose keys say which device those of the GPU are of: devices round each in its own way."""
+    return [
+        row if row.variant.backend == "cpu" else replace(row, key=digest(row.key, device)) for row in wanted
+    ]
 
 
 def tasks_of(
@@ -121,8 +132,9 @@ def tasks_of(
     make: Callable[..., Task],
     group: int | None,
     largest: int,
+    device: str | None = None,
 ) -> Iterator[Task]:
-    """Tasks that make these rows, each variant once.
+    """Tasks that make these rows, each variant once, those of a backend together.
 
     Parameters
     ----------
@@ -136,14 +148,18 @@ def tasks_of(
         Most variants of a task.
     largest : int
         The same where `group` is None, and the image's size allows as many.
+    device : str, optional
+        The GPU, if there are variants for it.
     """
-    by_package: dict[str, dict[str, Variant]] = {}
+    by_package: dict[str, dict[Backend, dict[str, Variant]]] = {}
     for row in wanted:
-        by_package.setdefault(row.package, {})[row.key] = row.variant
-    for package, variants in by_package.items():
+        variants = by_package.setdefault(row.package, {}).setdefault(row.variant.backend, {})
+        variants[row.key] = row.variant
+    for package, backends in by_package.items():
         source = packages[package].source
         size = group or min(largest, max(1, GROUP_BYTES // (_PIXEL_BYTES * source.width * source.height)))
-        items = list(variants.items())
-        for start in range(0, len(items), size):
-            keys, some = zip(*items[start : start + size], strict=True)
-            yield make(package=package, variants=some, keys=keys)
+        for backend, variants in backends.items():
+            items, where = list(variants.items()), device if backend == "gpu" else None
+            for start in range(0, len(items), size):
+                keys, some = zip(*items[start : start + size], strict=True)
+                yield make(package=package, variants=some, keys=keys, device=where)

@@ -19,6 +19,8 @@ from ..frame import Frame
 from ..rendering import WeightWarning
 from ..scene import Scene
 from . import plan, told
+from .bind import Backend
+from .devices import checked_backends, device_of
 from .grid import Grid, checked_seeds, expanded
 from .memory import can_measure
 from .metrics import Metrics, measure_of
@@ -81,6 +83,7 @@ def sweep(
     group: int | None = None,
     measure_memory: bool = False,
     progress: bool = True,
+    backend: Backend | Iterable[Backend] = "cpu",
 ) -> pd.DataFrame:
     """Render every combination of params on every scene and measure it: one tidy row per variant.
 
@@ -123,6 +126,10 @@ def sweep(
         which takes a second or so each. Linux only.
     progress : bool
         Show a progress bar.
+    backend : {"cpu", "gpu"} or iterable of them
+        Where variants are rendered, as in `oitlab.render`; several are an axis of the grid that runs fastest.
+        References are always rendered on the CPU. With an executor, its workers have the device: start
+        processes by "spawn", since a fork of a process that has used the GPU cannot use it.
 
     Returns
     -------
@@ -144,13 +151,17 @@ def sweep(
           complexity. `bytes_per_pixel_measured`: this renderer's peak, see `measure_memory`; NaN without.
         - `dropped` fragments, `invalid_weights` as in `Stats`, and `skipped.<shortcut>`: work avoided.
         - `fragments`, `depth_complexity_mean`, `depth_complexity_max`, `repeats`, `threads`, `backend`,
-          `width`, `height`, `scene_hash`, versions, commit, CPU, cores and host.
+          `width`, `height`, `scene_hash`, versions, commit, CPU, cores, host and, for rows of the GPU, `gpu`:
+          the device and its driver.
 
     Raises
     ------
     ValueError
         Wrong scenes, techniques, params, metrics, reference or options; a `store` that is something else;
-        with `store` or `executor`, functions whose code cannot be seen or that cannot be pickled.
+        with `store` or `executor`, functions whose code cannot be seen or that cannot be pickled; params that
+        have no form on the GPU, or that the device lacks something for.
+    RuntimeError
+        `backend="gpu"` without a device, here or in the executor's workers.
     OSError
         A `store` that cannot be written.
     SweepFailed
@@ -168,9 +179,10 @@ def sweep(
     -----
     A stored row is taken for the one that is wanted if these agree: scene, technique (its code, where it is
     your own) and params with effect; reference; metrics and their options; `repeats` and `measure_memory`;
-    oitlab's version and compiled core. A scene's name, `threads`, `group` and `executor` may differ. A
-    function counts by its bytecode, constants, defaults, attributes, closure and what it uses of its own
-    package and of modules without a version; what it calls elsewhere counts by name and version.
+    oitlab's version and compiled core; backend and, on the GPU, the device with its driver. A scene's name,
+    `threads`, `group` and `executor` may differ. A function counts by its bytecode, constants, defaults,
+    attributes, closure and what it uses of its own package and of modules without a version; what it calls
+    elsewhere counts by name and version.
 
     Examples
     --------
@@ -200,14 +212,22 @@ def sweep(
     if remembers and not can_measure():
         raise ValueError("measure_memory: this system does not tell the peak of a process's memory")
     show = flag(progress, "progress")
+    backends = checked_backends(backend)
+    if remembers and "gpu" in backends:
+        raise ValueError("measure_memory: a process's memory is not the device's; it is for backend=\"cpu\"")
     _check_executor(executor)
     packages = plan.packages_of(named, reference)
     measure = measure_of(metrics, metric_options, has_reference=reference is not None)
     conditions = (measure.identity, str(times), str(remembers))
-    wanted = plan.wanted_rows(named, packages, requests, checked, conditions)
+    wanted = plan.wanted_rows(named, packages, requests, checked, conditions, backends)
     by_key = dict(packages.values())
     if store is not None or executor is not None:
         told.check(requests, by_key.values(), measure, travels=executor is not None)
+    device = None
+    if "gpu" in backends:
+        drawn = {row.variant.identity: row.variant for row in wanted if row.variant.backend == "gpu"}
+        device = device_of(executor, list(named.values()), list(drawn.values()))
+        wanted = plan.on_device(wanted, device)
 
     largest = plan.LARGEST_GROUP if executor is None else plan.LARGEST_TASK
     cores = threads or (None if executor is None else 1)
@@ -217,7 +237,7 @@ def sweep(
         sheet = _Sheet(wanted, study, stack, show=show)
         try:
             sheet.take_from_store()
-            tasks = list(plan.tasks_of(sheet.missing(), by_key, make, group, largest))
+            tasks = list(plan.tasks_of(sheet.missing(), by_key, make, group, largest, device))
             _run(tasks, by_key, executor, sheet)
         except KeyboardInterrupt:
             warnings.warn(SweepInterrupted(f"stopped by Ctrl-C: {sheet.summary()}"), stacklevel=2)

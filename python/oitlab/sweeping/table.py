@@ -50,6 +50,7 @@ _VERSIONS = {
     "cpu": "cpu",
     "cores": "cores",
     "host": "host",
+    "gpu": "gpu",
 }
 _LAST = ("scene_hash", *_VERSIONS.values())
 _TYPES: tuple[tuple[set[type], Any], ...] = (
@@ -84,7 +85,7 @@ def from_rows(rows: Sequence[dict[str, Any]]) -> pd.DataFrame:
     for name, column in _VERSIONS.items():
         columns[column] = _column([row["versions"].get(name) for row in rows])
     frame = pd.DataFrame(columns)
-    frame.attrs["keys"] = [*_FIRST, *(_column_name("param", name) for name in params), "seed"]
+    frame.attrs["keys"] = [*_FIRST, "backend", *(_column_name("param", name) for name in params), "seed"]
     frame.attrs["metrics"] = list(metric_columns.values())
     return frame
 
@@ -98,7 +99,7 @@ def to_xarray(table: pd.DataFrame, dims: str | Iterable[str] | None = None) -> x
         Of `oitlab.sweep` or `oitlab.read_study`, or a part of one.
     dims : str or iterable of str, optional
         Columns that become dimensions. They must have a value in every row, and no two rows the same
-        values. None takes, of scene, technique, params and seed, those that vary.
+        values. None takes, of scene, technique, backend, params and seed, those that vary.
 
     Returns
     -------

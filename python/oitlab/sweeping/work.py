@@ -19,7 +19,8 @@ from ..fragments import Fragments
 from ..frame import Frame
 from ..rendering import render, render_many, silent_weights
 from ..scene import Scene
-from .bind import Variant
+from .bind import Backend, Variant
+from .devices import check_same
 from .identity import shown
 from .memory import peak_bytes_per_pixel
 from .metrics import Measure
@@ -89,6 +90,13 @@ class Task:
     repeats: int
     threads: int | None
     measure_memory: bool = False
+    device: str | None = None
+    """The GPU that renders all its variants; None: the CPU does."""
+
+    @property
+    def backend(self) -> Backend:
+        """What renders its variants."""
+        return "cpu" if self.device is None else "gpu"
 
     def rows(self, package: Package) -> Iterator[tuple[str, Row]]:
         """Render, then measure one image after the other; (content key, row) as each is finished.
@@ -98,6 +106,8 @@ class Task:
         VariantFailed
             The first one that failed, after all others.
         """
+        if self.device is not None:
+            check_same(self.device)
         exact = package.exact(self.threads)
         try:
             frames, stats = self._rendered(package)
@@ -135,18 +145,21 @@ class Task:
     def _failed(self, index: int, cause: Exception | None = None) -> VariantFailed:
         technique, params = self.variants[index].request
         text = ", ".join(f"{name}={shown(value)!r}" for name, value in params.items())
-        failed = VariantFailed(self.keys[index], f"{technique} ({text})" if text else technique)
+        where = "" if self.backend == "cpu" else f" on the {self.backend}"
+        what = f"{technique} ({text}){where}" if text else f"{technique}{where}"
+        failed = VariantFailed(self.keys[index], what)
         failed.__cause__ = cause
         return failed
 
     def _rendered(self, package: Package) -> tuple[list[Frame], list[list[Any]]]:
         """Give the images, and for each the numbers of every time that it was rendered."""
         requests = [variant.request for variant in self.variants]
+        where: dict[str, Any] = {"backend": self.backend, "threads": self.threads}
         with silent_weights():  # the sweep tells of all its rows at once
-            frames = render_many(package.source, requests, threads=self.threads)
+            frames = render_many(package.source, requests, **where)
             stats = [[frame.stats] for frame in frames]
             for _ in range(1, self.repeats):  # images are the same again; only times are wanted
-                again = render_many(package.source, requests, threads=self.threads)
+                again = render_many(package.source, requests, **where)
                 for kept, frame in zip(stats, again, strict=True):
                     kept.append(frame.stats)
         return frames, stats
@@ -189,7 +202,7 @@ class Task:
             "dropped": first.dropped,
             "invalid_weights": first.invalid_weights,
             "skipped": dict(first.skipped),
-            "versions": versions(),
+            "versions": {**versions(), "gpu": self.device},
         }
 
 

@@ -1,5 +1,6 @@
 //! Render targets, and what blend units do with them.
 
+use super::Streaming;
 use crate::error::Result;
 use crate::format::{Format, Formats};
 use crate::params::Params;
@@ -18,8 +19,23 @@ pub struct Blending {
     pub over_background: bool,
     /// Shared parts of the shader beside those that all have.
     pub blocks: &'static [&'static str],
+    /// One that render targets alone want.
+    pub targets_block: &'static str,
+    /// In tiles, fragments come by depth, not as they are drawn: the furthest first, or the nearest.
+    pub by_depth: Option<bool>,
+    /// What stands for targets that are drawn into one after the other, where a pixel's are in registers.
+    pub in_registers: Option<Registers>,
     /// Words per pixel of a buffer that all shaders read and write, 0 at first; its binding follows those of the targets.
     pub words: u32,
+}
+
+/// Targets in registers: the technique as a stream.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Registers {
+    /// The part of the shader in place of that of render targets: `begin`, `take`, `again` and `finish`.
+    pub block: &'static str,
+    /// What it wants of fragments.
+    pub stream: Streaming,
 }
 
 /// A pass over the geometry.
@@ -38,7 +54,17 @@ impl Blending {
     /// One pass into all targets.
     pub fn once(draw: &'static str, resolve: &'static str, targets: Vec<BlendTarget>) -> Self {
         let draws = vec![Draw { shader: draw, targets: 0..targets.len(), in_parts: false }];
-        Self { targets, draws, resolve, over_background: false, blocks: &[], words: 0 }
+        Self {
+            targets,
+            draws,
+            resolve,
+            over_background: false,
+            blocks: &[],
+            targets_block: "",
+            by_depth: None,
+            in_registers: None,
+            words: 0,
+        }
     }
 }
 

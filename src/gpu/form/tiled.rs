@@ -1,12 +1,16 @@
 //! Forms for the raster in compute, which hands a pixel's fragments one by one to what it keeps in registers.
 
 use super::{
-    Blend, BlendTarget, Blending, DOUBLE, FRAGMENT, FRAME, Form, LAYERS, LISTS, Path, RESOLVE,
-    SHARES_OF_LAYERS, TILE_BINS, TILES, WEIGHT_BOUNDS,
+    BACKGROUND, Blend, BlendTarget, Blending, DOUBLE, FRAGMENT, FRAME, Form, LISTS, ONE_WALK, Path, RESOLVE,
+    Registers, SHARES_OF_LAYERS, Sorting, TILE_BINS, TILE_STREAM, TILE_WINDOW, TILES, WALKS, WEIGHT_BOUNDS,
+    constants,
 };
 use crate::error::{Error, Result};
 use crate::format::Format;
 use std::fmt::Write;
+
+/// Words of a pixel's map that are in registers, at most: they take two kilobytes.
+const MOST_WORDS: u32 = 512;
 
 /// Which raster draws the primitives.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -16,6 +20,8 @@ pub enum RasterPath {
     Hardware,
     /// Tiles in compute, with what a pixel keeps in registers.
     Compute,
+    /// The device's own, into samples of a pixel by masks.
+    Samples,
 }
 
 impl RasterPath {
@@ -27,45 +33,94 @@ impl RasterPath {
         match name {
             "hardware" => Ok(Self::Hardware),
             "compute" => Ok(Self::Compute),
-            other => Err(Error::argument("path", format!("{other:?}; known: \"hardware\", \"compute\""))),
+            "samples" => Ok(Self::Samples),
+            other => {
+                let problem = format!("{other:?}; known: \"hardware\", \"compute\", \"samples\"");
+                Err(Error::argument("path", problem))
+            }
         }
     }
 }
 
+/// Tiles have no order of depth, which takes walks of its own.
+fn order_in_tiles(sorted: Sorting) -> &'static str {
+    if sorted == Sorting::Depth { TILE_WINDOW } else { TILE_STREAM }
+}
+
+fn refused<T>(what: &str) -> Result<T> {
+    let problem = format!("{what} has no form for \"compute\"; path=\"hardware\" has one");
+    Err(Error::argument("path", problem))
+}
+
+/// Refuses targets in formats that registers do not stand for.
+fn only_single(targets: &[BlendTarget]) -> Result<()> {
+    match targets.iter().find(|target| target.format != Format::F32) {
+        Some(target) => {
+            let name = target.format.name();
+            refused(&format!("{}={name:?}, which registers are not in,", target.param))
+        }
+        None => Ok(()),
+    }
+}
+
 impl Form {
+    /// Whether tiles hand over the furthest fragment first, if they do so by depth.
+    pub fn is_backwards_in_tiles(&self) -> bool {
+        match &self.path {
+            Path::Streamed(stream) => stream.backwards,
+            Path::Blended(blending) => blending.by_depth == Some(true),
+            _ => false,
+        }
+    }
+
     /// The shader whose `draw_tiles` is the technique's.
     ///
     /// # Errors
     /// [`Error::Argument`] for what is no stream of fragments, and for targets that registers do not stand for.
     pub fn tiled_module(&self) -> Result<String> {
-        let refused = |what: &str| {
-            let problem = format!("{what} has no form for \"compute\"; path=\"hardware\" has one");
-            Err(Error::argument("path", problem))
-        };
-        let (layers, state);
+        let (sized, state);
         let mut parts = vec![FRAME, DOUBLE, FRAGMENT, WEIGHT_BOUNDS];
-        parts.extend(self.weight.iter().map(|weight| weight.text.as_str()));
+        parts.extend(self.weight_parts());
         parts.extend([SHARES_OF_LAYERS, RESOLVE]);
         match &self.path {
-            Path::Listed(_) => return refused("what keeps lists of fragments"),
-            Path::Peeled(_) => return refused("peeling"),
+            Path::Listed(_) => return refused("what looks at all fragments of a pixel at once"),
+            // what tiles do to sort is peeling
+            Path::Peeled(peeling) => {
+                only_single(&peeling.sums)?;
+                parts.extend([BACKGROUND, LISTS, WALKS, TILE_WINDOW]);
+            }
+            Path::Sampled(_) => return refused("a buffer of samples"),
             Path::Streamed(stream) => {
-                layers = format!("const LAYERS = {}u;", stream.layers);
+                sized = constants(stream.layers, &stream.sizes);
                 // a shader may have an entry point for lists, too
-                parts.extend([LISTS, layers.as_str(), LAYERS]);
+                parts.extend([LISTS, &sized]);
+                parts.extend(stream.blocks());
+                parts.push(order_in_tiles(stream.sorted));
             }
             Path::Blended(blending) => {
-                // the fragment shader's texels as a function of a fragment
-                let texels = format!("fn {}_texels(", blending.draws[0].shader);
-                if blending.draws.len() > 1 || !self.shader.contains(&texels) {
-                    return refused("this technique");
+                only_single(&blending.targets)?;
+                parts.push(WALKS);
+                if let Some(Registers { block, stream }) = &blending.in_registers {
+                    let words = stream.words;
+                    if words > MOST_WORDS {
+                        return refused(&format!(
+                            "what keeps {words} numbers of a pixel, more than {MOST_WORDS},"
+                        ));
+                    }
+                    sized = constants(stream.layers, &stream.sizes);
+                    parts.push(&sized);
+                    parts.extend(blending.blocks);
+                    parts.extend([block, order_in_tiles(stream.sorted)]);
+                } else {
+                    // the fragment shader's texels as a function of a fragment
+                    let texels = format!("fn {}_texels(", blending.draws[0].shader);
+                    if blending.draws.len() > 1 || !self.shader.contains(&texels) {
+                        return refused("this technique");
+                    }
+                    state = registers(blending);
+                    let sorted = blending.by_depth.map_or(Sorting::Submission, |_| Sorting::Depth);
+                    parts.extend([ONE_WALK, &state, order_in_tiles(sorted)]);
                 }
-                if let Some(target) = blending.targets.iter().find(|target| target.format != Format::F32) {
-                    let name = target.format.name();
-                    return refused(&format!("{}={name:?}, which registers are not in,", target.param));
-                }
-                state = registers(blending);
-                parts.push(&state);
             }
         }
         parts.extend([self.shader, TILE_BINS, TILES]);

@@ -4,6 +4,52 @@
 use crate::raster::{Premultiplied, Run};
 use multiversion::multiversion;
 
+/// The running sums of some pixels.
+pub struct Places<'a> {
+    pub transmittance: &'a mut [f64],
+    pub counts: &'a mut [u32],
+    pub sums: &'a mut [[f32; 4]],
+}
+
+/// Attenuates the background, counts the fragments, and adds the weights times one colour, in one go.
+#[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
+pub fn blend_flat(runs: &[Run], mut weights: &[f32], color: Premultiplied, places: Places<'_>) {
+    let Places { transmittance, counts, sums } = places;
+    let left = 1.0 - f64::from(color[3]);
+    for run in runs {
+        let (now, later) = weights.split_at(run.len as usize);
+        weights = later;
+        let background = transmittance[run.pixels()].iter_mut().zip(&mut counts[run.pixels()]);
+        for ((sum, (t, n)), weight) in sums[run.pixels()].iter_mut().zip(background).zip(now) {
+            *t *= left;
+            *n += 1;
+            let mut added = *sum;
+            for channel in 0..4 {
+                added[channel] += weight * color[channel];
+            }
+            *sum = added;
+        }
+    }
+}
+
+/// The same for few pixels.
+#[inline(always)]
+#[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+pub fn blend_few(pixels: &[u32], weights: &[f32], color: Premultiplied, places: Places<'_>) {
+    let Places { transmittance, counts, sums } = places;
+    let left = 1.0 - f64::from(color[3]);
+    for (&pixel, weight) in pixels.iter().zip(weights) {
+        let pixel = pixel as usize;
+        transmittance[pixel] *= left;
+        counts[pixel] += 1;
+        let mut sum = sums[pixel];
+        for channel in 0..4 {
+            sum[channel] += weight * color[channel];
+        }
+        sums[pixel] = sum;
+    }
+}
+
 /// Attenuates the background and counts the fragments.
 #[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
 pub fn attenuate(runs: &[Run], alpha: f64, transmittance: &mut [f64], counts: &mut [u32]) {

@@ -1,46 +1,38 @@
-//! Large primitives that are the same everywhere, kept until there are many and then blended into one band of the tile
-//! after the other: the sums of a band stay in the nearest cache, those of the whole tile do not. A pixel gets its
-//! fragments in the same order.
+//! Large primitives that are the same everywhere, kept until there are many and then blended into one row of the tile
+//! after the other, or into its cells. A pixel gets its fragments in the same order.
 
-use super::kernels::{add_constant, cover_faintly};
+use super::cells::Cells;
+use super::kernels::Places;
+use super::rows::{Stretch, add_row, blend_row, cover_row};
 use super::{Sums, Weight};
 use crate::continuum::sums::FAINT;
-use crate::raster::{Cover, Premultiplied, Run};
-use multiversion::multiversion;
+use crate::raster::{Cover, Premultiplied, Rect};
 
-/// Pixels whose sums fit the nearest cache, at 28 bytes each: so many rows of a tile that are no more.
-const BAND: usize = 1024;
-/// Runs that are worth keeping, at 16 bytes each.
-const RUNS: usize = 1 << 13;
+/// Stretches that are worth keeping, at 12 bytes each.
+const STRETCHES: usize = 1 << 13;
 
 /// What waits to be blended.
 #[derive(Default)]
 pub struct Pending {
-    layers: Vec<Layer>,
-    runs: Vec<Run>,
-    /// The layers' colours, coverages and depths.
-    colors: Vec<Premultiplied>,
-    alpha: Vec<f32>,
-    depth: Vec<f32>,
+    /// Where it is, row by row of the tile.
+    rows: Vec<Vec<Stretch>>,
+    stretches: usize,
+    layers: Layers,
     /// What each layer adds to the sums, weight by weight.
     added: Vec<Vec<[f32; 4]>>,
 }
 
-/// One primitive.
-struct Layer {
-    alpha: f64,
-    /// Its runs in the band at hand, and the end of all.
-    now: std::ops::Range<usize>,
-    end: usize,
-}
-
-impl Layer {
-    /// Goes on to the runs that begin before pixel `limit`.
-    fn advance(&mut self, runs: &[Run], limit: usize) {
-        let first = self.now.end;
-        let now = runs[first..self.end].iter().take_while(|run| (run.first as usize) < limit).count();
-        self.now = first..first + now;
-    }
+/// The primitives, one entry each.
+#[derive(Default)]
+struct Layers {
+    colors: Vec<Premultiplied>,
+    alpha: Vec<f32>,
+    depth: Vec<f32>,
+    /// What they leave of the background.
+    left: Vec<f64>,
+    pixels: Vec<u64>,
+    /// Whether any alpha is faint.
+    faint: bool,
 }
 
 impl Pending {
@@ -49,110 +41,131 @@ impl Pending {
         Self { added: vec![Vec::new(); weights], ..Self::default() }
     }
 
+    /// Begins with a tile of so many rows.
+    pub fn begin(&mut self, rows: usize) {
+        self.clear();
+        self.rows.resize_with(rows, Vec::new);
+    }
+
+    /// Finds the cells of the tile `rect` under all that waits; false if they are too many to pay off.
+    pub fn find_cells(&self, rect: &Rect, cells: &mut Cells) -> bool {
+        cells.find(rect, &self.rows, self.stretches)
+    }
+
     /// Whether nothing waits.
     pub fn is_empty(&self) -> bool {
-        self.layers.is_empty()
+        self.layers.pixels.is_empty()
     }
 
     /// Whether enough waits to be blended.
     pub fn is_full(&self) -> bool {
-        self.runs.len() >= RUNS
+        self.stretches >= STRETCHES
     }
 
     /// Keeps a primitive of one colour, and one depth where weights look at it.
-    pub fn push(&mut self, cover: &Cover<'_, '_>, color: Premultiplied) {
-        let first = self.runs.len();
-        self.runs.extend_from_slice(cover.runs);
-        self.layers.push(Layer { alpha: color[3].into(), now: first..first, end: self.runs.len() });
-        self.colors.push(color);
-        self.alpha.push(color[3]);
-        self.depth.push(cover.constant_depth.unwrap_or(1.0));
+    #[expect(clippy::cast_possible_truncation, reason = "far fewer primitives than 2^32 wait")]
+    #[expect(clippy::cast_sign_loss, reason = "the run lies in the tile")]
+    pub fn push(&mut self, rect: &Rect, cover: &Cover<'_, '_>, color: Premultiplied) {
+        let layer = self.layers.pixels.len() as u32;
+        for run in cover.runs {
+            let from = run.x - rect.x0;
+            let to = from + run.len.cast_signed();
+            self.rows[(run.y - rect.y0) as usize].push(Stretch { from, to, layer });
+        }
+        self.stretches += cover.runs.len();
+        let Layers { colors, alpha, depth, left, pixels, faint } = &mut self.layers;
+        let covers = f64::from(color[3]);
+        colors.push(color);
+        alpha.push(color[3]);
+        depth.push(cover.constant_depth.unwrap_or(1.0));
+        left.push(1.0 - covers);
+        pixels.push(cover.pixels as u64);
+        *faint |= covers <= FAINT;
     }
 
     /// What each layer adds to the sums of each weight: the weight at its depth times its colour.
     fn weigh(&mut self, weights: &mut [Weight<'_>], numbers: &mut Vec<f32>) {
-        let Self { layers, runs, colors, alpha, depth, added } = self;
-        let pixels = |layer: usize| {
-            let first = if layer == 0 { 0 } else { layers[layer - 1].end };
-            runs[first..layers[layer].end].iter().map(|run| u64::from(run.len)).sum::<u64>()
-        };
-        for (weight, added) in weights.iter_mut().zip(added) {
+        let Layers { colors, alpha, depth, pixels, .. } = &self.layers;
+        for (weight, added) in weights.iter_mut().zip(&mut self.added) {
             let Some(weighting) = weight.weighting else {
                 added.extend_from_slice(colors);
                 continue;
             };
-            let times = |layer: usize| if colors[layer] == [0.0; 4] { 0 } else { pixels(layer) };
+            let times = |layer: usize| if colors[layer] == [0.0; 4] { 0 } else { pixels[layer] };
             weight.invalid += weighting.evaluate_counted(depth, alpha, numbers, times);
             added.extend(colors.iter().zip(&*numbers).map(|(color, w)| color.map(|channel| w * channel)));
         }
     }
 
-    /// Blends everything, in the order in which it came, into a tile of so many columns.
+    /// Blends everything, in the order in which it came, into the pixels of the tile `rect`, or into its cells.
     pub fn blend(
         &mut self,
-        columns: usize,
+        rect: &Rect,
+        cells: Option<&Cells>,
         weights: &mut [Weight<'_>],
         sums: &mut Sums,
         numbers: &mut Vec<f32>,
     ) {
         self.weigh(weights, numbers);
-        let Self { layers, runs, added, .. } = self;
-        let Sums { weighted, transmittance, coverage, counts, faint } = sums;
-        let Some((first, others)) = weighted.split_first_mut() else { return };
-        // whole rows: a run that reached into the next band would come before earlier ones there
-        let band = columns * (BAND / columns).max(1);
-        for limit in (band..transmittance.len() + band).step_by(band) {
-            layers.iter_mut().for_each(|layer| layer.advance(runs, limit));
-            blend_band(layers, runs, &added[0], transmittance, counts, first);
-            for (sums, added) in others.iter_mut().zip(&added[1..]) {
-                add_band(layers, runs, added, sums);
-            }
-            for layer in layers.iter().filter(|layer| layer.alpha <= FAINT) {
-                *faint = true;
-                cover_faintly(&runs[layer.now.clone()], layer.alpha, coverage);
-            }
+        match cells {
+            Some(cells) => self.blend_cells(cells, sums),
+            None => self.blend_rows(rect.width(), sums),
         }
+        sums.faint |= self.layers.faint;
         self.clear();
     }
 
-    /// Forgets what waits.
-    pub fn clear(&mut self) {
-        self.layers.clear();
-        self.runs.clear();
-        self.colors.clear();
-        self.alpha.clear();
-        self.depth.clear();
-        self.added.iter_mut().for_each(Vec::clear);
+    fn blend_rows(&self, columns: usize, sums: &mut Sums) {
+        let Layers { left, alpha, faint, .. } = &self.layers;
+        let Sums { weighted, transmittance, coverage, counts, .. } = sums;
+        for (row, stretches) in self.rows.iter().enumerate() {
+            let pixels = row * columns..(row + 1) * columns;
+            let mut weighted = weighted.iter_mut().map(|sums| &mut sums[pixels.clone()]).zip(&self.added);
+            if let Some((sums, added)) = weighted.next() {
+                let transmittance = &mut transmittance[pixels.clone()];
+                let row = Places { transmittance, counts: &mut counts[pixels.clone()], sums };
+                blend_row(stretches, left, added, row);
+            }
+            weighted.for_each(|(sums, added)| add_row(stretches, added, sums));
+            if *faint {
+                cover_row(stretches, alpha, &mut coverage[pixels]);
+            }
+        }
     }
-}
 
-/// Attenuates the background, counts the fragments and adds to the sums.
-#[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
-fn blend_band(
-    layers: &[Layer],
-    runs: &[Run],
-    added: &[[f32; 4]],
-    transmittance: &mut [f64],
-    counts: &mut [u32],
-    sums: &mut [[f32; 4]],
-) {
-    for (layer, added) in layers.iter().zip(added) {
-        let left = 1.0 - layer.alpha;
-        for run in &runs[layer.now.clone()] {
-            transmittance[run.pixels()].iter_mut().for_each(|t| *t *= left);
-            counts[run.pixels()].iter_mut().for_each(|n| *n += 1);
-            for sum in &mut sums[run.pixels()] {
-                for channel in 0..4 {
-                    sum[channel] += added[channel];
+    fn blend_cells(&self, cells: &Cells, sums: &mut Sums) {
+        let Layers { left, alpha, faint, .. } = &self.layers;
+        let Sums { weighted, transmittance, coverage, counts, .. } = sums;
+        for (row, stretches) in self.rows.iter().enumerate() {
+            for stretch in stretches {
+                let (places, layer) = (cells.of(row, stretch), stretch.layer as usize);
+                transmittance[places.clone()].iter_mut().for_each(|t| *t *= left[layer]);
+                counts[places.clone()].iter_mut().for_each(|n| *n += 1);
+                for (sums, added) in weighted.iter_mut().zip(&self.added) {
+                    let added = added[layer];
+                    for sum in &mut sums[places.clone()] {
+                        *sum = std::array::from_fn(|channel| sum[channel] + added[channel]);
+                    }
+                }
+                let covers = f64::from(alpha[layer]);
+                if *faint && covers <= FAINT {
+                    coverage[places].iter_mut().for_each(|c| *c += (1.0 - *c) * covers);
                 }
             }
         }
     }
-}
 
-/// Adds to the sums of another weight.
-fn add_band(layers: &[Layer], runs: &[Run], added: &[[f32; 4]], sums: &mut [[f32; 4]]) {
-    for (layer, added) in layers.iter().zip(added) {
-        add_constant(&runs[layer.now.clone()], *added, sums);
+    /// Forgets what waits.
+    fn clear(&mut self) {
+        self.rows.iter_mut().for_each(Vec::clear);
+        self.stretches = 0;
+        let Layers { colors, alpha, depth, left, pixels, faint } = &mut self.layers;
+        colors.clear();
+        alpha.clear();
+        depth.clear();
+        left.clear();
+        pixels.clear();
+        *faint = false;
+        self.added.iter_mut().for_each(Vec::clear);
     }
 }

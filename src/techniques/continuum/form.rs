@@ -6,7 +6,7 @@ use crate::continuum::oracle::Composite;
 use crate::continuum::range::DepthRange;
 use crate::error::Result;
 use crate::gpu::form::{
-    Form, Listing, MASK_WORDS, Number, Path, Sorting, at_most, layers, mask_size, masking,
+    Form, Listing, MASK_WORDS, Number, Path, Sorting, Streaming, at_most, layers, mask_size, masking,
     only_single_formats, submission,
 };
 use crate::params::{Params, View};
@@ -16,6 +16,10 @@ use crate::weight::{Formula, Function, Shading, Weighting};
 const LAYERS: &str = concat!(
     include_str!("../../../shaders/continuum/axes.wgsl"),
     include_str!("../../../shaders/continuum/layers.wgsl")
+);
+const FUNCTIONS: &str = concat!(
+    include_str!("../../../shaders/continuum/axes.wgsl"),
+    include_str!("../../../shaders/continuum/functions.wgsl")
 );
 const LISTS: &str = concat!(
     include_str!("../../../shaders/continuum/axes.wgsl"),
@@ -53,11 +57,8 @@ pub fn form(params: &Params, view: &View) -> Result<Form> {
     let (masking, mask_words) = masks(&setup, params)?;
     let (shader, resolve) = entry(&setup);
     // in which order fragments come is all the same to many, so that they may come sorted
-    let order = if setup.properties().order_independent {
-        (Sorting::Depth, Number::Whole(0))
-    } else {
-        submission(params)?
-    };
+    let order =
+        if setup.properties().order_independent { (Sorting::Depth, false) } else { submission(params) };
     let keeps_keys = setup.memory == "layers" || setup.insertion == "nearest";
     let layers = if keeps_keys { layers(params)? } else { 1 };
     if setup.memory == "layers" {
@@ -75,26 +76,32 @@ struct Composition {
     mask_words: (&'static str, u32),
     weight: Shading,
     choices: [Number; 6],
-    order: (Sorting, Number),
+    order: (Sorting, bool),
     layers: u32,
     sizes: [Number; 7],
 }
 
 impl Composition {
-    fn form(self, shader: &'static str, resolve: &'static str) -> Form {
+    fn form(self, shader: &'static str, resolve: Option<&'static str>) -> Form {
         let (sorted, backwards) = self.order;
-        let numbers =
-            self.masking.into_iter().chain(self.weight.numbers).chain(self.choices).chain([backwards]);
+        let numbers = self
+            .masking
+            .into_iter()
+            .chain(self.weight.numbers)
+            .chain(self.choices)
+            .chain([Number::Whole(backwards.into())]);
+        let (layers, sizes) = (self.layers, vec![self.mask_words]);
+        let path = if let Some(resolve) = resolve {
+            Path::Listed(Listing { resolve, sorted, layers: Some(layers), sizes })
+        } else {
+            let stream = Streaming::in_order(sorted, backwards);
+            Path::Streamed(stream.of_layers(layers).of_sizes(sizes).in_walks())
+        };
         Form {
             weight: Some(self.weight.module),
             shader,
             numbers: numbers.chain(self.sizes).collect(),
-            path: Path::Listed(Listing {
-                resolve,
-                sorted,
-                layers: Some(self.layers),
-                sizes: vec![self.mask_words],
-            }),
+            path,
             shows_zero_fragments: false,
             colored_transmittance: false,
         }
@@ -124,20 +131,20 @@ pub fn slab_as_submitted(params: &Params, tail: bool, second_pass: Option<Compos
             Number::Whole(second_pass.is_some().into()),
             second_pass.unwrap_or(Composite::None).number(),
         ],
-        order: submission(params)?,
+        order: submission(params),
         layers,
         sizes: [Number::Whole(0); 7],
     };
-    Ok(composition.form(LAYERS, "resolve_layers"))
+    Ok(composition.form(LAYERS, None))
 }
 
-/// The shader and its entry point.
-fn entry(setup: &Setup) -> (&'static str, &'static str) {
+/// The shader, and its entry point if it looks at lists; others take fragments one by one.
+fn entry(setup: &Setup) -> (&'static str, Option<&'static str>) {
     match (setup.memory, setup.merge) {
-        ("none", _) => (LISTS, "resolve_functions"),
-        ("layers", _) => (LAYERS, "resolve_layers"),
-        ("bins", "sum" | "average") => (LISTS, "resolve_bins"),
-        _ => (LISTS, "resolve_lists"),
+        ("none", _) => (FUNCTIONS, None),
+        ("layers", _) => (LAYERS, None),
+        ("bins", "sum" | "average") => (LISTS, Some("resolve_bins")),
+        _ => (LISTS, Some("resolve_lists")),
     }
 }
 

@@ -1,0 +1,301 @@
+//! Many primitives, each the same everywhere, blended into one row of a tile: the sums of sixteen neighbouring pixels
+//! stay in registers while all primitives pass.
+//!
+//! Pixels next to a primitive are multiplied by one and get zero added, which changes no bit of theirs: sums begin at
+//! +0, so that none is -0.
+
+use super::kernels::Places;
+use crate::continuum::sums::FAINT;
+use multiversion::multiversion;
+
+/// Pixels whose sums are in registers together.
+const PIXELS: usize = 16;
+const WIDTH: i32 = 16;
+/// Channels of so many pixels are in a register.
+const CHANNELS: usize = 4;
+
+/// One primitive's pixels in the row.
+#[derive(Debug, Clone, Copy)]
+pub struct Stretch {
+    /// Columns in the tile; one past the last.
+    pub from: i32,
+    pub to: i32,
+    /// Which of the primitives that wait.
+    pub layer: u32,
+}
+
+impl Stretch {
+    #[inline]
+    fn layer(&self) -> usize {
+        self.layer as usize
+    }
+}
+
+/// The running sums of neighbouring pixels.
+struct Block {
+    transmittance: [f64; PIXELS],
+    counts: [u32; PIXELS],
+    sums: Weighted,
+}
+
+/// Σ w (r, g, b, a) of neighbouring pixels, four after four.
+struct Weighted([[f32; PIXELS]; CHANNELS]);
+
+impl Weighted {
+    #[inline(always)]
+    #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+    fn load(sums: &[[f32; CHANNELS]; PIXELS]) -> Self {
+        let (flat, mut loaded) = (sums.as_flattened(), [[0.0; PIXELS]; CHANNELS]);
+        for quarter in 0..CHANNELS {
+            for lane in 0..PIXELS {
+                loaded[quarter][lane] = flat[quarter * PIXELS + lane];
+            }
+        }
+        Self(loaded)
+    }
+
+    #[inline(always)]
+    #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+    fn store(&self, sums: &mut [[f32; CHANNELS]; PIXELS]) {
+        let flat = sums.as_flattened_mut();
+        for quarter in 0..CHANNELS {
+            for lane in 0..PIXELS {
+                flat[quarter * PIXELS + lane] = self.0[quarter][lane];
+            }
+        }
+    }
+
+    /// Adds the same to all pixels.
+    #[inline(always)]
+    #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+    fn add_to_all(&mut self, added: [f32; CHANNELS]) {
+        let mut lanes = [0.0; PIXELS];
+        for (lane, channel) in lanes.iter_mut().enumerate() {
+            *channel = added[lane % CHANNELS];
+        }
+        for sums in &mut self.0 {
+            for (sum, channel) in sums.iter_mut().zip(lanes) {
+                *sum += channel;
+            }
+        }
+    }
+
+    /// Adds the same to some.
+    #[inline(always)]
+    #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+    fn add(&mut self, pixels: Lanes, added: [f32; CHANNELS]) {
+        for quarter in 0..CHANNELS {
+            for lane in 0..PIXELS {
+                let channel = if pixels.has((quarter * PIXELS + lane) / CHANNELS) {
+                    added[lane % CHANNELS]
+                } else {
+                    0.0
+                };
+                self.0[quarter][lane] += channel;
+            }
+        }
+    }
+}
+
+/// Some neighbouring pixels of a block.
+#[derive(Clone, Copy)]
+struct Lanes {
+    first: i32,
+    len: u32,
+}
+
+impl Lanes {
+    /// Those of `first..end` that the block has.
+    #[inline(always)]
+    #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+    fn new(first: i32, end: i32) -> Self {
+        let (first, end) = (first.max(0), end.min(WIDTH));
+        Self { first, len: (end - first).cast_unsigned() }
+    }
+
+    #[inline(always)]
+    #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+    #[expect(clippy::cast_possible_truncation, clippy::cast_possible_wrap, reason = "a lane")]
+    fn has(self, lane: usize) -> bool {
+        (lane as i32 - self.first).cast_unsigned() < self.len
+    }
+}
+
+impl Block {
+    #[inline(always)]
+    #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+    fn add_to_all(&mut self, left: f64, added: [f32; CHANNELS]) {
+        for lane in 0..PIXELS {
+            self.transmittance[lane] *= left;
+        }
+        for lane in 0..PIXELS {
+            self.counts[lane] += 1;
+        }
+        self.sums.add_to_all(added);
+    }
+
+    #[inline(always)]
+    #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+    fn add(&mut self, pixels: Lanes, left: f64, added: [f32; CHANNELS]) {
+        for lane in 0..PIXELS {
+            self.transmittance[lane] *= if pixels.has(lane) { left } else { 1.0 };
+        }
+        for lane in 0..PIXELS {
+            self.counts[lane] += u32::from(pixels.has(lane));
+        }
+        self.sums.add(pixels, added);
+    }
+}
+
+/// Hands out the stretches that have pixels in the block that begins at column `x`: whole ones, and others.
+#[inline(always)]
+#[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+fn pass<B>(
+    stretches: &[Stretch],
+    x: i32,
+    block: &mut B,
+    all: impl Fn(&mut B, &Stretch),
+    some: impl Fn(&mut B, &Stretch, Lanes),
+) {
+    for stretch in stretches {
+        let (from, to) = (stretch.from - x, stretch.to - x);
+        if from <= 0 && to >= WIDTH {
+            all(block, stretch);
+        } else if from < WIDTH && to > 0 {
+            some(block, stretch, Lanes::new(from, to));
+        }
+    }
+}
+
+/// Attenuates the background to `left[layer]`, counts the fragments, and adds `added[layer]` to the sums. Columns that fill no block
+/// of their own are worked on as a block that has others, too.
+#[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
+pub fn blend_row(stretches: &[Stretch], left: &[f64], added: &[[f32; CHANNELS]], row: Places<'_>) {
+    // of one length, for one check of both
+    let left = &left[..added.len()];
+    let blend = |x, transmittance: &mut [f64; PIXELS], counts: &mut [u32; PIXELS], sums: &mut _| {
+        let mut block = Block { transmittance: *transmittance, counts: *counts, sums: Weighted::load(sums) };
+        pass(
+            stretches,
+            x,
+            &mut block,
+            |block, stretch| block.add_to_all(left[stretch.layer()], added[stretch.layer()]),
+            |block, stretch, pixels| block.add(pixels, left[stretch.layer()], added[stretch.layer()]),
+        );
+        (*transmittance, *counts) = (block.transmittance, block.counts);
+        block.sums.store(sums);
+    };
+    let (transmittance, transmittance_rest) = row.transmittance.as_chunks_mut();
+    let (counts, counts_rest) = row.counts.as_chunks_mut();
+    let (sums, sums_rest) = row.sums.as_chunks_mut();
+    let mut x = 0;
+    for ((transmittance, counts), sums) in transmittance.iter_mut().zip(counts).zip(sums) {
+        blend(x, transmittance, counts, sums);
+        x += WIDTH;
+    }
+    let rest = sums_rest.len();
+    if rest > 0 {
+        let (mut transmittance, mut counts, mut sums) =
+            ([1.0; PIXELS], [0; PIXELS], [[0.0; CHANNELS]; PIXELS]);
+        transmittance[..rest].copy_from_slice(transmittance_rest);
+        counts[..rest].copy_from_slice(counts_rest);
+        sums[..rest].copy_from_slice(sums_rest);
+        blend(x, &mut transmittance, &mut counts, &mut sums);
+        transmittance_rest.copy_from_slice(&transmittance[..rest]);
+        counts_rest.copy_from_slice(&counts[..rest]);
+        sums_rest.copy_from_slice(&sums[..rest]);
+    }
+}
+
+/// Adds `added[layer]` to the sums of another weight.
+#[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
+pub fn add_row(stretches: &[Stretch], added: &[[f32; CHANNELS]], sums: &mut [[f32; CHANNELS]]) {
+    let blend = |x, sums: &mut _| {
+        let mut block = Weighted::load(sums);
+        pass(
+            stretches,
+            x,
+            &mut block,
+            |block, stretch| block.add_to_all(added[stretch.layer()]),
+            |block, stretch, pixels| block.add(pixels, added[stretch.layer()]),
+        );
+        block.store(sums);
+    };
+    let (sums, sums_rest) = sums.as_chunks_mut();
+    let mut x = 0;
+    for sums in sums {
+        blend(x, sums);
+        x += WIDTH;
+    }
+    let rest = sums_rest.len();
+    if rest > 0 {
+        let mut sums = [[0.0; CHANNELS]; PIXELS];
+        sums[..rest].copy_from_slice(sums_rest);
+        blend(x, &mut sums);
+        sums_rest.copy_from_slice(&sums[..rest]);
+    }
+}
+
+/// Adds to 1 - R what faint primitives cover, given the alpha of each layer.
+#[expect(clippy::cast_sign_loss, reason = "columns of the tile")]
+pub fn cover_row(stretches: &[Stretch], alpha: &[f32], coverage: &mut [f64]) {
+    for stretch in stretches {
+        let covers = f64::from(alpha[stretch.layer()]);
+        if covers <= FAINT {
+            let covered = &mut coverage[stretch.from as usize..stretch.to as usize];
+            covered.iter_mut().for_each(|c| *c += (1.0 - *c) * covers);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::random::hash32;
+
+    /// Stretches of a row of so many columns: some that are whole, some that begin or end inside of blocks.
+    fn stretches(columns: i32, count: u32) -> Vec<Stretch> {
+        let column = |i, k| {
+            (hash32(i, k, columns.cast_unsigned(), 0, 0) % (columns.cast_unsigned() + 1)).cast_signed()
+        };
+        let stretch = |layer| {
+            let (a, b) = if layer % 3 == 0 { (0, columns) } else { (column(layer, 0), column(layer, 1)) };
+            Stretch { from: a.min(b), to: a.max(b), layer }
+        };
+        (0..count).map(stretch).collect()
+    }
+
+    #[test]
+    fn rows_have_the_bits_of_single_pixels() {
+        for columns in [1, 15, 16, 17, 40, 64, 75] {
+            let pixels = usize::try_from(columns).unwrap();
+            let stretches = stretches(columns, 30);
+            let alpha: Vec<f32> =
+                (0..30_u8).map(|i| if i % 4 == 0 { 1e-5 } else { f32::from(i) / 31.0 }).collect();
+            let left: Vec<_> = alpha.iter().map(|&a| 1.0 - f64::from(a)).collect();
+            let added: Vec<_> = alpha.iter().map(|a| [a * 0.3, a * 1e-3, a * 1e6, *a]).collect();
+            let (mut transmittance, mut counts) = (vec![1.0; pixels], vec![0; pixels]);
+            let (mut sums, mut coverage) = (vec![[0.0; 4]; pixels], vec![0.0; pixels]);
+            let (mut others, mut expected_coverage) = (sums.clone(), coverage.clone());
+            let places = Places { transmittance: &mut transmittance, counts: &mut counts, sums: &mut sums };
+            blend_row(&stretches, &left, &added, places);
+            add_row(&stretches, &added, &mut others);
+            cover_row(&stretches, &alpha, &mut coverage);
+            for x in 0..pixels {
+                let (mut t, mut n, mut sum) = (1.0, 0, [0.0; 4]);
+                let column = i32::try_from(x).unwrap();
+                for stretch in stretches.iter().filter(|s| (s.from..s.to).contains(&column)) {
+                    let layer = stretch.layer();
+                    t *= left[layer];
+                    n += 1;
+                    sum = std::array::from_fn(|channel| sum[channel] + added[layer][channel]);
+                    if alpha[layer] < 1e-4 {
+                        expected_coverage[x] += (1.0 - expected_coverage[x]) * f64::from(alpha[layer]);
+                    }
+                }
+                assert_eq!((transmittance[x], counts[x], sums[x]), (t, n, sum), "{columns} {x}");
+                assert_eq!((others[x], coverage[x]), (sum, expected_coverage[x]), "{columns} {x}");
+            }
+        }
+    }
+}
