@@ -4,8 +4,9 @@
 use super::canvas::{Canvas, Resolve};
 use super::device::Connection;
 use super::draw::{Gpu, Image, Stop, attachment, draw_primitives};
+use super::draws::Draws;
 use super::form::{BlendTarget, Blending, Draw, Form, background_module};
-use super::layouts::{Draws, Entry, Layouts, Reading, Reads, attachment_bytes, blended, plain};
+use super::layouts::{Entry, Layouts, Reading, Reads, attachment_bytes, blended, plain};
 use super::picture::{Picture, buffer};
 use super::recorder::{Recorder, Stage};
 use crate::error::{Error, Result};

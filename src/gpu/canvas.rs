@@ -2,7 +2,8 @@
 
 use super::device::Connection;
 use super::draw::{Image, attachment};
-use super::layouts::{Draws, Entry, Layouts, Reads, plain};
+use super::draws::Draws;
+use super::layouts::{Entry, Layouts, Reads, plain};
 use super::picture::{Picture, buffer, texture};
 use super::recorder::{Recorder, Stage};
 use crate::error::{Error, Result};

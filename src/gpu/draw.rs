@@ -3,9 +3,10 @@
 use super::blend::Targets;
 use super::canvas::{Canvas, landed_row};
 use super::device::Connection;
+use super::draws::flag;
 use super::form::tiled::RasterPath;
 use super::form::{Form, Path};
-use super::layouts::{Layouts, flag};
+use super::layouts::Layouts;
 use super::picture::{Picture, buffer, bytes_of};
 use super::recorder::{Recorder, Stage, Times};
 use crate::error::Result;

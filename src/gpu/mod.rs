@@ -11,6 +11,8 @@ mod canvas;
 mod device;
 #[cfg(feature = "gpu")]
 mod draw;
+#[cfg(feature = "gpu")]
+mod draws;
 pub mod form;
 #[cfg(feature = "gpu")]
 mod geometry;

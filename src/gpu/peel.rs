@@ -3,8 +3,9 @@
 use super::canvas::Resolve;
 use super::device::Connection;
 use super::draw::{Gpu, Image, Stop, attachment, draw_primitives, group};
+use super::draws::Draws;
 use super::form::{Blend, BlendTarget, Ends, Form, Peeling};
-use super::layouts::{Draws, Entry, Layouts, Reading, Reads, blended, plain};
+use super::layouts::{Entry, Layouts, Reading, Reads, blended, plain};
 use super::picture::{Picture, buffer, texture};
 use super::recorder::{PASSES, Recorder, Stage, Times};
 use crate::error::{Error, Result};
