@@ -28,12 +28,12 @@ fn composite_over_background(placed: Placed) -> Framebuffer {
 @fragment
 fn add_background(@builtin(position) position: vec4f) -> @location(0) vec4f {
     let pixel = pixel_at(position);
-    let target_ = textureLoad(color_target, texel_of(pixel), 0);
+    let target_ = load(color_target, pixel);
     return image_texel(min(target_.rgb, vec3f(LARGEST)) + target_.a * background_at(pixel), target_.a);
 }
 
 @fragment
 fn read_framebuffer(@builtin(position) position: vec4f) -> @location(0) vec4f {
-    let texel = texel_of(pixel_at(position));
-    return image_texel(textureLoad(color_target, texel, 0).rgb, textureLoad(transmittance_target, texel, 0).x);
+    let pixel = pixel_at(position);
+    return image_texel(load(color_target, pixel).rgb, load(transmittance_target, pixel).x);
 }

@@ -27,8 +27,8 @@ struct Params {
 @fragment
 fn resolve(@builtin(position) position: vec4f) -> @location(0) vec4f {
     let pixel = pixel_at(position);
-    let sums = min(textureLoad(accumulation, texel_of(pixel), 0), vec4f(params.largest));
-    let r = textureLoad(revealage, texel_of(pixel), 0).x;
+    let sums = load_sums(accumulation, pixel, params.largest);
+    let r = load(revealage, pixel).x;
     let average = select(vec3f(0.0), sums.rgb * ((1.0 - r) / sums.a), sums.a > 0.0);
     return image_texel(average + r * background_at(pixel), r);
 }

@@ -57,7 +57,7 @@ fn put_under(@builtin(position) position: vec4f) -> @location(0) vec4f {
 @fragment
 fn resolve(@builtin(position) position: vec4f) -> @location(0) vec4f {
     let pixel = pixel_at(position);
-    let all = textureLoad(all_layers, pixel, 0);
+    let all = load(all_layers, pixel);
     return image_texel(min(all.rgb, vec3f(LARGEST)) + all.a * background_at(pixel), all.a);
 }
 

@@ -58,8 +58,8 @@ fn put_over(@builtin(position) position: vec4f) -> @location(0) vec4f {
 @fragment
 fn resolve(@builtin(position) position: vec4f) -> @location(0) vec4f {
     let pixel = pixel_at(position);
-    let near = textureLoad(front, pixel, 0);
-    let far = textureLoad(back, pixel, 0);
+    let near = load(front, pixel);
+    let far = load(back, pixel);
     let behind = min(far.rgb, vec3f(LARGEST)) + far.a * background_at(pixel);
     return image_texel(min(near.rgb, vec3f(LARGEST)) + near.a * behind, near.a * far.a);
 }

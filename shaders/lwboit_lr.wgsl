@@ -81,8 +81,9 @@ fn blend_into_bins(placed: Placed) -> Outputs {
 // FEE21 eq. 4, and section 3.3 to normalise.
 @fragment
 fn resolve(@builtin(position) position: vec4f) -> @location(0) vec4f {
-    let texel = vec2u(position.xy);
-    let background = background_at(pixel_at(position));
+    let pixel = pixel_at(position);
+    let texel = texel_of(pixel);
+    let background = background_at(pixel);
     var color = vec3f(0.0);
     var covered = 0.0;
     var left = 1.0;
@@ -99,7 +100,7 @@ fn resolve(@builtin(position) position: vec4f) -> @location(0) vec4f {
     if params.normalize == 0u {
         return image_texel(color + left * background, left);
     }
-    let net = textureLoad(net_target, texel, 0).x;
+    let net = load(net_target, pixel).x;
     if covered <= 0.0 {
         return image_texel(background, 1.0);
     }

@@ -36,8 +36,8 @@ fn accumulate(placed: Placed) -> Targets {
 @fragment
 fn resolve(@builtin(position) position: vec4f) -> ImageTexels {
     let pixel = pixel_at(position);
-    let sums = min(textureLoad(accumulation, texel_of(pixel), 0), vec4f(params.largest));
-    let share = textureLoad(modulation, texel_of(pixel), 0).rgb;
+    let sums = load_sums(accumulation, pixel, params.largest);
+    let share = load(modulation, pixel).rgb;
     var average = vec3f(0.0);
     if sums.a > 0.0 {
         average = sums.rgb / max(sums.a, params.divisor_floor);

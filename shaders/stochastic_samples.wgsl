@@ -100,8 +100,8 @@ fn add_showing(placed: Placed) -> Shown {
 fn resolve(@builtin(position) position: vec4f) -> @location(0) vec4f {
     let pixel = pixel_at(position);
     let background = background_at(pixel);
-    let weighted = textureLoad(accumulation_target, texel_of(pixel), 0);
-    let transmittance = textureLoad(revealage_target, texel_of(pixel), 0).x;
+    let weighted = load(accumulation_target, pixel);
+    let transmittance = load(revealage_target, pixel).x;
     let sums = Sums(weighted, 1.0 - transmittance, transmittance);
     if params.corrected != 0u {
         // where no sample shows anything, the layers' share stays black

@@ -73,22 +73,22 @@ fn covered(pixel: vec2u, color: vec3f, weights: f32, r: f32) -> vec4f {
 @fragment
 fn resolve_listing3(@builtin(position) position: vec4f) -> @location(0) vec4f {
     let pixel = pixel_at(position);
-    let sums = min(textureLoad(accumulation, texel_of(pixel), 0), vec4f(params.largest));
-    return covered(pixel, sums.rgb, sums.a, textureLoad(second, texel_of(pixel), 0).x);
+    let sums = load_sums(accumulation, pixel, params.largest);
+    return covered(pixel, sums.rgb, sums.a, load(second, pixel).x);
 }
 
 @fragment
 fn resolve_listing4(@builtin(position) position: vec4f) -> @location(0) vec4f {
     let pixel = pixel_at(position);
-    let texel = textureLoad(accumulation, texel_of(pixel), 0);
-    let weights = min(textureLoad(second, texel_of(pixel), 0).x, params.largest_weights);
+    let texel = load(accumulation, pixel);
+    let weights = min(load(second, pixel).x, params.largest_weights);
     return covered(pixel, min(texel.rgb, vec3f(params.largest)), weights, texel.a);
 }
 
 @fragment
 fn resolve_monochrome(@builtin(position) position: vec4f) -> @location(0) vec4f {
     let pixel = pixel_at(position);
-    let texel = textureLoad(accumulation, texel_of(pixel), 0);
+    let texel = load(accumulation, pixel);
     let sums = min(texel.xy, vec2f(params.largest));
     return covered(pixel, vec3f(sums.x), sums.y, texel.a);
 }

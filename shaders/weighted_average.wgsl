@@ -29,11 +29,11 @@ struct Params {
 fn resolve(@builtin(position) position: vec4f) -> @location(0) vec4f {
     let pixel = pixel_at(position);
     let background = background_at(pixel);
-    let sums = min(textureLoad(accumulation, texel_of(pixel), 0), vec4f(params.largest));
+    let sums = load_sums(accumulation, pixel, params.largest);
     if sums.a <= 0.0 {
         return image_texel(background, 1.0);
     }
-    let count = max(textureLoad(count_target, texel_of(pixel), 0).x, 1.0);
+    let count = max(load(count_target, pixel).x, 1.0);
     let shares = repeated(min(sums.a / count, 1.0), u32(count));
     // what they cover is at most the sum of alphas: the other way round, bright colours would leave f32
     return image_texel((shares.x / sums.a) * sums.rgb + shares.y * background, shares.y);

@@ -20,7 +20,7 @@ struct Params {
 @fragment
 fn resolve(@builtin(position) position: vec4f) -> @location(0) vec4f {
     let pixel = pixel_at(position);
-    let sums = min(textureLoad(accumulation, texel_of(pixel), 0), vec4f(params.largest));
+    let sums = load_sums(accumulation, pixel, params.largest);
     let transmittance = 1.0 - sums.a;
     return image_texel(sums.rgb + transmittance * background_at(pixel), transmittance);
 }

@@ -16,6 +16,16 @@ fn finite(x: vec3f) -> vec3f {
     return clamp(x, vec3f(-LARGEST), vec3f(LARGEST));
 }
 
+// What a render target has of a pixel, ...
+fn load(from_target: texture_2d<f32>, pixel: vec2u) -> vec4f {
+    return textureLoad(from_target, texel_of(pixel), 0);
+}
+
+// ... and sums, of which some may be more than its format's largest finite number.
+fn load_sums(from_target: texture_2d<f32>, pixel: vec2u, largest: f32) -> vec4f {
+    return min(load(from_target, pixel), vec4f(largest));
+}
+
 // A pixel as a pass over render targets gives it. Its loops are over layers, few enough for any driver.
 fn image_texel(color: vec3f, transmittance: f32) -> vec4f {
     return vec4f(finite(color), transmittance);

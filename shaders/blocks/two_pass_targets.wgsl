@@ -67,7 +67,6 @@ fn look_through(placed: Placed) -> Sums {
 @fragment
 fn resolve(@builtin(position) position: vec4f) -> @location(0) vec4f {
     let pixel = pixel_at(position);
-    let sums = textureLoad(accumulation_target, texel_of(pixel), 0);
-    let all = composited(pixel, sums, textureLoad(revealage_target, texel_of(pixel), 0).x);
+    let all = composited(pixel, load(accumulation_target, pixel), load(revealage_target, pixel).x);
     return image_texel(all.rgb, all.a);
 }

@@ -15,6 +15,6 @@ fn accumulate(placed: Placed) -> @location(0) vec4f {
 @fragment
 fn resolve(@builtin(position) position: vec4f) -> @location(0) vec4f {
     let pixel = pixel_at(position);
-    let average = average_at(pixel, min(textureLoad(accumulation, texel_of(pixel), 0), vec4f(params.largest)));
+    let average = average_at(pixel, load_sums(accumulation, pixel, params.largest));
     return image_texel(average.rgb, average.a);
 }
