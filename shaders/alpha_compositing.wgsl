@@ -25,20 +25,15 @@ fn composite_over_background(placed: Placed) -> Framebuffer {
 @group(2) @binding(0) var color_target: texture_2d<f32>;
 @group(2) @binding(1) var transmittance_target: texture_2d<f32>;
 
-@compute @workgroup_size(8, 8)
-fn add_background(@builtin(global_invocation_id) id: vec3u) {
-    if is_outside(id) {
-        return;
-    }
-    let pixel = pixel_of(id);
-    let target_ = textureLoad(color_target, texel_of(pixel_of(id)), 0);
-    store(id, min(target_.rgb, vec3f(LARGEST)) + target_.a * background_at(pixel), target_.a);
+@fragment
+fn add_background(@builtin(position) position: vec4f) -> @location(0) vec4f {
+    let pixel = pixel_at(position);
+    let target_ = load(color_target, pixel);
+    return image_texel(min(target_.rgb, vec3f(LARGEST)) + target_.a * background_at(pixel), target_.a);
 }
 
-@compute @workgroup_size(8, 8)
-fn read_framebuffer(@builtin(global_invocation_id) id: vec3u) {
-    if is_outside(id) {
-        return;
-    }
-    store(id, textureLoad(color_target, texel_of(pixel_of(id)), 0).rgb, textureLoad(transmittance_target, texel_of(pixel_of(id)), 0).x);
+@fragment
+fn read_framebuffer(@builtin(position) position: vec4f) -> @location(0) vec4f {
+    let pixel = pixel_at(position);
+    return image_texel(load(color_target, pixel).rgb, load(transmittance_target, pixel).x);
 }

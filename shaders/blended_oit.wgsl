@@ -24,14 +24,11 @@ struct Params {
 @group(2) @binding(0) var accumulation: texture_2d<f32>;
 @group(2) @binding(1) var revealage: texture_2d<f32>;
 
-@compute @workgroup_size(8, 8)
-fn resolve(@builtin(global_invocation_id) id: vec3u) {
-    if is_outside(id) {
-        return;
-    }
-    let pixel = pixel_of(id);
-    let sums = min(textureLoad(accumulation, texel_of(pixel_of(id)), 0), vec4f(params.largest));
-    let r = textureLoad(revealage, texel_of(pixel_of(id)), 0).x;
+@fragment
+fn resolve(@builtin(position) position: vec4f) -> @location(0) vec4f {
+    let pixel = pixel_at(position);
+    let sums = load_sums(accumulation, pixel, params.largest);
+    let r = load(revealage, pixel).x;
     let average = select(vec3f(0.0), sums.rgb * ((1.0 - r) / sums.a), sums.a > 0.0);
-    store(id, average + r * background_at(pixel), r);
+    return image_texel(average + r * background_at(pixel), r);
 }

@@ -54,14 +54,11 @@ fn put_under(@builtin(position) position: vec4f) -> @location(0) vec4f {
 
 @group(2) @binding(0) var all_layers: texture_2d<f32>;
 
-@compute @workgroup_size(8, 8)
-fn resolve(@builtin(global_invocation_id) id: vec3u) {
-    if is_outside(id) {
-        return;
-    }
-    let pixel = pixel_of(id);
-    let all = textureLoad(all_layers, pixel, 0);
-    store(id, min(all.rgb, vec3f(LARGEST)) + all.a * background_at(pixel), all.a);
+@fragment
+fn resolve(@builtin(position) position: vec4f) -> @location(0) vec4f {
+    let pixel = pixel_at(position);
+    let all = load(all_layers, pixel);
+    return image_texel(min(all.rgb, vec3f(LARGEST)) + all.a * background_at(pixel), all.a);
 }
 
 // In tiles fragments come nearest first: what is peeled so far, and how many.

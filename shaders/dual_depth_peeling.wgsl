@@ -55,16 +55,13 @@ fn put_over(@builtin(position) position: vec4f) -> @location(0) vec4f {
 @group(2) @binding(0) var front: texture_2d<f32>;
 @group(2) @binding(1) var back: texture_2d<f32>;
 
-@compute @workgroup_size(8, 8)
-fn resolve(@builtin(global_invocation_id) id: vec3u) {
-    if is_outside(id) {
-        return;
-    }
-    let pixel = pixel_of(id);
-    let near = textureLoad(front, pixel, 0);
-    let far = textureLoad(back, pixel, 0);
+@fragment
+fn resolve(@builtin(position) position: vec4f) -> @location(0) vec4f {
+    let pixel = pixel_at(position);
+    let near = load(front, pixel);
+    let far = load(back, pixel);
     let behind = min(far.rgb, vec3f(LARGEST)) + far.a * background_at(pixel);
-    store(id, min(near.rgb, vec3f(LARGEST)) + near.a * behind, near.a * far.a);
+    return image_texel(min(near.rgb, vec3f(LARGEST)) + near.a * behind, near.a * far.a);
 }
 
 // As a stream, nearest first, where passes are limited: how many of the fragments at one depth are within the limit is nothing

@@ -79,18 +79,17 @@ fn blend_into_bins(placed: Placed) -> Outputs {
 }
 
 // FEE21 eq. 4, and section 3.3 to normalise.
-@compute @workgroup_size(8, 8)
-fn resolve(@builtin(global_invocation_id) id: vec3u) {
-    if is_outside(id) {
-        return;
-    }
-    let background = background_at(pixel_of(id));
+@fragment
+fn resolve(@builtin(position) position: vec4f) -> @location(0) vec4f {
+    let pixel = pixel_at(position);
+    let texel = texel_of(pixel);
+    let background = background_at(pixel);
     var color = vec3f(0.0);
     var covered = 0.0;
     var left = 1.0;
     for (var bin = 0u; bin < params.bins; bin++) {
-        let sums = min(textureLoad(sums_target, id.xy, bin, 0), vec4f(params.largest));
-        let share = textureLoad(shares_target, id.xy, bin / 4u, 0)[bin % 4u];
+        let sums = min(textureLoad(sums_target, texel, bin, 0), vec4f(params.largest));
+        let share = textureLoad(shares_target, texel, bin / 4u, 0)[bin % 4u];
         if sums.a > 0.0 {
             let part = left * (1.0 - share);
             color += part * (sums.rgb / sums.a);
@@ -99,13 +98,11 @@ fn resolve(@builtin(global_invocation_id) id: vec3u) {
         left *= share;
     }
     if params.normalize == 0u {
-        store(id, color + left * background, left);
-        return;
+        return image_texel(color + left * background, left);
     }
-    let net = textureLoad(net_target, id.xy, 0).x;
+    let net = load(net_target, pixel).x;
     if covered <= 0.0 {
-        store(id, background, 1.0);
-        return;
+        return image_texel(background, 1.0);
     }
-    store(id, color * ((1.0 - net) / covered) + net * background, net);
+    return image_texel(color * ((1.0 - net) / covered) + net * background, net);
 }

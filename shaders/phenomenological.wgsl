@@ -33,17 +33,14 @@ fn accumulate(placed: Placed) -> Targets {
 @group(2) @binding(0) var accumulation: texture_2d<f32>;
 @group(2) @binding(1) var modulation: texture_2d<f32>;
 
-@compute @workgroup_size(8, 8)
-fn resolve(@builtin(global_invocation_id) id: vec3u) {
-    if is_outside(id) {
-        return;
-    }
-    let pixel = pixel_of(id);
-    let sums = min(textureLoad(accumulation, texel_of(pixel_of(id)), 0), vec4f(params.largest));
-    let share = textureLoad(modulation, texel_of(pixel_of(id)), 0).rgb;
+@fragment
+fn resolve(@builtin(position) position: vec4f) -> ImageTexels {
+    let pixel = pixel_at(position);
+    let sums = load_sums(accumulation, pixel, params.largest);
+    let share = load(modulation, pixel).rgb;
     var average = vec3f(0.0);
     if sums.a > 0.0 {
         average = sums.rgb / max(sums.a, params.divisor_floor);
     }
-    store_colored(id, (vec3f(1.0) - share) * average + share * background_at(pixel), share);
+    return image_texels((vec3f(1.0) - share) * average + share * background_at(pixel), share);
 }

@@ -96,25 +96,22 @@ fn add_showing(placed: Placed) -> Shown {
 @group(2) @binding(0) var accumulation_target: texture_2d<f32>;
 @group(2) @binding(1) var revealage_target: texture_2d<f32>;
 
-@compute @workgroup_size(8, 8)
-fn resolve(@builtin(global_invocation_id) id: vec3u) {
-    if is_outside(id) {
-        return;
-    }
-    let pixel = pixel_of(id);
+@fragment
+fn resolve(@builtin(position) position: vec4f) -> @location(0) vec4f {
+    let pixel = pixel_at(position);
     let background = background_at(pixel);
-    let weighted = textureLoad(accumulation_target, texel_of(pixel), 0);
-    let transmittance = textureLoad(revealage_target, texel_of(pixel), 0).x;
+    let weighted = load(accumulation_target, pixel);
+    let transmittance = load(revealage_target, pixel).x;
     let sums = Sums(weighted, 1.0 - transmittance, transmittance);
     if params.corrected != 0u {
         // where no sample shows anything, the layers' share stays black
         let texel = over_background(sums, background);
-        store(id, texel.rgb, texel.a);
-    } else if params.keeps_depths != 0u {
-        store(id, min(weighted.rgb, vec3f(LARGEST)) + transmittance * background, transmittance);
-    } else {
-        let all = f32(params.masking.bits);
-        let open = (all - weighted.a) / all;
-        store(id, min(weighted.rgb, vec3f(LARGEST)) / all + open * background, open);
+        return image_texel(texel.rgb, texel.a);
     }
+    if params.keeps_depths != 0u {
+        return image_texel(min(weighted.rgb, vec3f(LARGEST)) + transmittance * background, transmittance);
+    }
+    let all = f32(params.masking.bits);
+    let open = (all - weighted.a) / all;
+    return image_texel(min(weighted.rgb, vec3f(LARGEST)) / all + open * background, open);
 }

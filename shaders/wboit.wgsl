@@ -60,41 +60,35 @@ fn accumulate_monochrome(placed: Placed) -> @location(0) vec4f {
 // R, or the sum of weighted alphas
 @group(2) @binding(1) var second: texture_2d<f32>;
 
-fn cover(id: vec3u, color: vec3f, weights: f32, r: f32) {
+fn covered(pixel: vec2u, color: vec3f, weights: f32, r: f32) -> vec4f {
     var share = 0.0;
     if params.listing3_clamp != 0u {
         share = (1.0 - r) / clamp(weights, 1e-4, 5e4);
     } else if weights > 0.0 {
         share = (1.0 - r) / weights;
     }
-    store(id, color * share + r * background_at(pixel_of(id)), r);
+    return image_texel(color * share + r * background_at(pixel), r);
 }
 
-@compute @workgroup_size(8, 8)
-fn resolve_listing3(@builtin(global_invocation_id) id: vec3u) {
-    if is_outside(id) {
-        return;
-    }
-    let sums = min(textureLoad(accumulation, texel_of(pixel_of(id)), 0), vec4f(params.largest));
-    cover(id, sums.rgb, sums.a, textureLoad(second, texel_of(pixel_of(id)), 0).x);
+@fragment
+fn resolve_listing3(@builtin(position) position: vec4f) -> @location(0) vec4f {
+    let pixel = pixel_at(position);
+    let sums = load_sums(accumulation, pixel, params.largest);
+    return covered(pixel, sums.rgb, sums.a, load(second, pixel).x);
 }
 
-@compute @workgroup_size(8, 8)
-fn resolve_listing4(@builtin(global_invocation_id) id: vec3u) {
-    if is_outside(id) {
-        return;
-    }
-    let texel = textureLoad(accumulation, texel_of(pixel_of(id)), 0);
-    let weights = min(textureLoad(second, texel_of(pixel_of(id)), 0).x, params.largest_weights);
-    cover(id, min(texel.rgb, vec3f(params.largest)), weights, texel.a);
+@fragment
+fn resolve_listing4(@builtin(position) position: vec4f) -> @location(0) vec4f {
+    let pixel = pixel_at(position);
+    let texel = load(accumulation, pixel);
+    let weights = min(load(second, pixel).x, params.largest_weights);
+    return covered(pixel, min(texel.rgb, vec3f(params.largest)), weights, texel.a);
 }
 
-@compute @workgroup_size(8, 8)
-fn resolve_monochrome(@builtin(global_invocation_id) id: vec3u) {
-    if is_outside(id) {
-        return;
-    }
-    let texel = textureLoad(accumulation, texel_of(pixel_of(id)), 0);
+@fragment
+fn resolve_monochrome(@builtin(position) position: vec4f) -> @location(0) vec4f {
+    let pixel = pixel_at(position);
+    let texel = load(accumulation, pixel);
     let sums = min(texel.xy, vec2f(params.largest));
-    cover(id, vec3f(sums.x), sums.y, texel.a);
+    return covered(pixel, vec3f(sums.x), sums.y, texel.a);
 }

@@ -25,20 +25,16 @@ struct Params {
 @group(2) @binding(0) var accumulation: texture_2d<f32>;
 @group(2) @binding(1) var count_target: texture_2d<f32>;
 
-@compute @workgroup_size(8, 8)
-fn resolve(@builtin(global_invocation_id) id: vec3u) {
-    if is_outside(id) {
-        return;
-    }
-    let pixel = pixel_of(id);
+@fragment
+fn resolve(@builtin(position) position: vec4f) -> @location(0) vec4f {
+    let pixel = pixel_at(position);
     let background = background_at(pixel);
-    let sums = min(textureLoad(accumulation, texel_of(pixel_of(id)), 0), vec4f(params.largest));
+    let sums = load_sums(accumulation, pixel, params.largest);
     if sums.a <= 0.0 {
-        store(id, background, 1.0);
-        return;
+        return image_texel(background, 1.0);
     }
-    let count = max(textureLoad(count_target, texel_of(pixel_of(id)), 0).x, 1.0);
+    let count = max(load(count_target, pixel).x, 1.0);
     let shares = repeated(min(sums.a / count, 1.0), u32(count));
     // what they cover is at most the sum of alphas: the other way round, bright colours would leave f32
-    store(id, (shares.x / sums.a) * sums.rgb + shares.y * background, shares.y);
+    return image_texel((shares.x / sums.a) * sums.rgb + shares.y * background, shares.y);
 }

@@ -17,13 +17,10 @@ struct Params {
 @group(0) @binding(3) var<uniform> params: Params;
 @group(2) @binding(0) var accumulation: texture_2d<f32>;
 
-@compute @workgroup_size(8, 8)
-fn resolve(@builtin(global_invocation_id) id: vec3u) {
-    if is_outside(id) {
-        return;
-    }
-    let pixel = pixel_of(id);
-    let sums = min(textureLoad(accumulation, texel_of(pixel_of(id)), 0), vec4f(params.largest));
+@fragment
+fn resolve(@builtin(position) position: vec4f) -> @location(0) vec4f {
+    let pixel = pixel_at(position);
+    let sums = load_sums(accumulation, pixel, params.largest);
     let transmittance = 1.0 - sums.a;
-    store(id, sums.rgb + transmittance * background_at(pixel), transmittance);
+    return image_texel(sums.rgb + transmittance * background_at(pixel), transmittance);
 }

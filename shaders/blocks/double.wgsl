@@ -17,14 +17,18 @@ fn upper_half(x: f32) -> f32 {
     return bitcast<f32>(bitcast<u32>(x) & 0xfffff000u);
 }
 
-// at + x d.x + y d.y, for whole d of less than 2^14: the steps come in parts of ten digits, and a rest.
-fn linear(at: vec2f, x: vec3f, y: vec3f, d: vec2f) -> vec2f {
-    let s1 = two_sum(at.x, x.x * d.x);
-    let s2 = two_sum(s1.x, y.x * d.y);
-    let s3 = two_sum(s2.x, x.y * d.x);
-    let s4 = two_sum(s3.x, y.y * d.y);
-    let rest = at.y + (x.z * d.x + y.z * d.y);
-    return two_sum(s4.x, (s1.y + s2.y) + (s3.y + s4.y) + rest);
+// The same where b is small beside a, or has digits that nobody will miss.
+fn quick_two_sum(a: f32, b: f32) -> vec2f {
+    let sum = unseen(a + b);
+    return vec2f(sum, b - unseen(sum - a));
+}
+
+// at + x d.x + y d.y for whole d. Numbers come in three parts, of which the first two are whole multiples of a step: one for
+// each part, of which no sum has 2^24, so that none is rounded.
+fn linear(at: vec3f, x: vec3f, y: vec3f, d: vec2f) -> vec2f {
+    let parts = at + (x * d.x + y * d.y);
+    let sum = two_sum(parts.x, parts.y);
+    return quick_two_sum(sum.x, sum.y + parts.z);
 }
 
 // 1 / x, rounded once but for one time in thousands.

@@ -4,10 +4,9 @@ struct Primitive {
     // corners on the screen in sub-pixels, of which a pixel has 256; the fourth pair is the anchor, in pixels
     corners: array<vec2i, 3>,
     anchor: vec2i,
-    // the depth function at the anchor in two parts, and the range of depths
-    depth_at: vec2f,
-    depth_range: vec2f,
-    // its steps to the next pixel in three parts
+    // the depth function at the anchor, and its steps to the next pixel, in parts as `linear` adds them
+    depth_at: vec3f,
+    id: u32,
     depth_x: vec3f,
     // where the outline begins, if it is that of a polygon ...
     outline: u32,
@@ -16,7 +15,7 @@ struct Primitive {
     outline_count: u32,
     // premultiplied, if it is the same everywhere
     color: vec4f,
-    id: u32,
+    depth_range: vec2f,
     // where to look for colours that vary
     varying_color: u32,
 }
@@ -52,8 +51,9 @@ const CENTER = 128;
 
 struct Placed {
     @builtin(position) position: vec4f,
+    // the depth function; beside its parts the nearest depth, and the furthest
     @location(0) @interpolate(flat, either) depth_at: vec4f,
-    @location(1) @interpolate(flat, either) depth_x: vec3f,
+    @location(1) @interpolate(flat, either) depth_x: vec4f,
     @location(2) @interpolate(flat, either) depth_y: vec3f,
     @location(3) @interpolate(flat, either) color: vec4f,
     // id, varying colour, outline and its number of corners
@@ -115,8 +115,8 @@ fn placed_at(index: u32, position: vec4f, first_output: u32) -> Placed {
     let primitive = &primitives[index];
     var placed: Placed;
     placed.position = position;
-    placed.depth_at = vec4f((*primitive).depth_at, (*primitive).depth_range);
-    placed.depth_x = (*primitive).depth_x;
+    placed.depth_at = vec4f((*primitive).depth_at, (*primitive).depth_range.x);
+    placed.depth_x = vec4f((*primitive).depth_x, (*primitive).depth_range.y);
     placed.depth_y = (*primitive).depth_y;
     placed.color = (*primitive).color;
     placed.meta_data = vec4u(
@@ -177,18 +177,18 @@ fn outline_covers(first: u32, count: u32, pixel: vec2u) -> bool {
 }
 
 fn depth_of(placed: Placed, d: vec2f) -> f32 {
-    let nearest = placed.depth_at.z;
-    let farthest = placed.depth_at.w;
-    if !has_slopes || nearest == farthest {
+    let nearest = placed.depth_at.w;
+    let farthest = placed.depth_x.w;
+    if !has_slopes {
         return nearest;
     }
-    let value = linear(placed.depth_at.xy, placed.depth_x, placed.depth_y, d);
+    let value = linear(placed.depth_at.xyz, placed.depth_x.xyz, placed.depth_y, d);
     var depth = value.x;
     if perspective {
         // the function is that of a power of two over the depth
         depth = bitcast<f32>(bitcast<u32>(farthest) & 0x7f800000u) * reciprocal(value);
     }
-    // comparisons that a number which is none does not pass
+    // comparisons that a number which is none does not pass; where the range is one depth, that is left
     depth = select(nearest, depth, depth > nearest);
     return select(farthest, depth, depth < farthest);
 }

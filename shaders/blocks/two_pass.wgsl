@@ -51,21 +51,21 @@ fn weighted(fragment: Fragment) -> vec4f {
     return max(in_front_of(fragment), least) * rgba(fragment);
 }
 
-// From what all fragments show, and the share of the background that all leave, to the image.
-fn store_sums(id: vec3u, all: vec4f, share: f32) {
-    let background = background_at(pixel_of(id));
+// From what all fragments show, and the share of the background that all leave, to the image: colour, and the background's share.
+fn composited(pixel: vec2u, all: vec4f, share: f32) -> vec4f {
+    let background = background_at(pixel);
     let sums = min(all, vec4f(params.two_pass.largest));
     switch params.two_pass.composite {
         case 0u: {
-            let total = total_at(texel_of(pixel_of(id)));
-            store(id, sums.rgb + total * background, total);
+            let total = total_at(texel_of(pixel));
+            return vec4f(sums.rgb + total * background, total);
         }
         case 1u: {
-            store(id, sums.rgb + share * background, share);
+            return vec4f(sums.rgb + share * background, share);
         }
         default: {
             let average = select(vec3f(0.0), sums.rgb * ((1.0 - share) / sums.a), sums.a > 0.0);
-            store(id, average + share * background, share);
+            return vec4f(average + share * background, share);
         }
     }
 }

@@ -64,5 +64,6 @@ fn again() -> bool {
 }
 
 fn finish(id: vec3u) {
-    store_sums(id, sums_at_hand, share_at_hand);
+    let all = composited(pixel_of(id), sums_at_hand, share_at_hand);
+    store(id, all.rgb, all.a);
 }

@@ -64,10 +64,9 @@ fn look_through(placed: Placed) -> Sums {
     return Sums(weighted(fragment), vec4f(fragment.alpha));
 }
 
-@compute @workgroup_size(8, 8)
-fn resolve(@builtin(global_invocation_id) id: vec3u) {
-    if is_outside(id) {
-        return;
-    }
-    store_sums(id, textureLoad(accumulation_target, id.xy, 0), textureLoad(revealage_target, id.xy, 0).x);
+@fragment
+fn resolve(@builtin(position) position: vec4f) -> @location(0) vec4f {
+    let pixel = pixel_at(position);
+    let all = composited(pixel, load(accumulation_target, pixel), load(revealage_target, pixel).x);
+    return image_texel(all.rgb, all.a);
 }

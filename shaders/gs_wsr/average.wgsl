@@ -50,13 +50,13 @@ fn weight_at(z: f32, sigma: f32) -> f32 {
     }
 }
 
-fn store_average(id: vec3u, sums: vec4f) {
-    let background = background_at(pixel_of(id));
+// The average, and the background's share of it.
+fn average_at(pixel: vec2u, sums: vec4f) -> vec4f {
+    let background = background_at(pixel);
     let total = min(params.background_weight + sums.a, LARGEST);
     if total == 0.0 {
-        store(id, background, 1.0);
-        return;
+        return vec4f(background, 1.0);
     }
     let share = params.background_weight / total;
-    store(id, sums.rgb / total + share * background, share);
+    return vec4f(sums.rgb / total + share * background, share);
 }

@@ -12,10 +12,9 @@ fn accumulate(placed: Placed) -> @location(0) vec4f {
 
 @group(2) @binding(0) var accumulation: texture_2d<f32>;
 
-@compute @workgroup_size(8, 8)
-fn resolve(@builtin(global_invocation_id) id: vec3u) {
-    if is_outside(id) {
-        return;
-    }
-    store_average(id, min(textureLoad(accumulation, texel_of(pixel_of(id)), 0), vec4f(params.largest)));
+@fragment
+fn resolve(@builtin(position) position: vec4f) -> @location(0) vec4f {
+    let pixel = pixel_at(position);
+    let average = average_at(pixel, load_sums(accumulation, pixel, params.largest));
+    return image_texel(average.rgb, average.a);
 }

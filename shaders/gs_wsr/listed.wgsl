@@ -25,5 +25,6 @@ fn again() -> bool {
 }
 
 fn finish(id: vec3u) {
-    store_average(id, min(sums, vec4f(LARGEST)));
+    let average = average_at(pixel_of(id), min(sums, vec4f(LARGEST)));
+    store(id, average.rgb, average.a);
 }

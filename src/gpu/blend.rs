@@ -1,10 +1,12 @@
 //! Render targets that the blend unit works on: passes over the geometry, each of which may read what those before it
 //! left, then one over the image.
 
+use super::canvas::{Canvas, Resolve};
 use super::device::Connection;
-use super::draw::{Gpu, Image, Stop, attachment, draw_primitives, resolve};
+use super::draw::{Gpu, Image, Stop, attachment, draw_primitives};
+use super::draws::Draws;
 use super::form::{BlendTarget, Blending, Draw, Form, background_module};
-use super::layouts::{Draws, Entry, Layouts, Reading, Reads, attachment_bytes, blended, plain};
+use super::layouts::{Entry, Layouts, Reading, Reads, attachment_bytes, blended, plain};
 use super::picture::{Picture, buffer};
 use super::recorder::{Recorder, Stage};
 use crate::error::{Error, Result};
@@ -22,7 +24,10 @@ const OUTPUTS: u32 = 8;
 const BUFFERS: u64 = 4;
 
 /// The targets of a form, for as many rows of the image as are worked on at a time.
-struct Targets {
+#[derive(Debug)]
+pub struct Targets {
+    /// What they are targets of.
+    made_for: MadeFor,
     formats: Vec<Option<TextureFormat>>,
     /// All layers of each.
     views: Vec<TextureView>,
@@ -55,7 +60,9 @@ impl Gpu {
     ) -> Result<Image> {
         let formats = self.connection.target_formats(blending)?;
         let most = self.rows_of_targets(picture, form, blending, &formats)?;
-        let targets = Targets::new(&self.connection, blending, formats, (picture.width, most));
+        let size = (picture.width, most);
+        let targets = Targets::like(self.kept.targets.take(), &self.connection, blending, formats, size);
+        let canvas = self.kept.canvas(&self.connection, form, size);
         let params: Vec<_> = form.numbers.iter().map(|number| number.bits()).collect();
         let module = form.module();
         let mut image = Image::default();
@@ -65,8 +72,9 @@ impl Gpu {
             let Self { connection, layouts, .. } = self;
             let (targets, frame, module, rows) = (&targets, &frame, module.as_str(), &rows);
             let job = Job { connection, picture, form, blending, module, targets, frame, rows };
-            job.run(layouts, stop, &mut image)?;
+            job.run(layouts, stop, &canvas, &mut image)?;
         }
+        self.kept.keep(Some(targets), canvas);
         Ok(image)
     }
 
@@ -99,14 +107,39 @@ impl Gpu {
     }
 }
 
+/// What tells targets apart: their formats and numbers of layers, the words beside them, and their size.
+#[derive(Debug, PartialEq, Eq)]
+struct MadeFor {
+    targets: Vec<(Option<TextureFormat>, Option<u32>)>,
+    words: u32,
+    size: (u32, u32),
+}
+
 impl Targets {
-    fn new(
+    /// Those of a form: the ones that are there, if they are such. Every pass begins by clearing what it draws into.
+    fn like(
+        kept: Option<Self>,
         connection: &Connection,
         blending: &Blending,
         formats: Vec<Option<TextureFormat>>,
         size: (u32, u32),
     ) -> Self {
+        let layers = blending.targets.iter().map(|target| target.layers.map(|(_, layers)| layers));
+        let targets = formats.iter().copied().zip(layers).collect();
+        let made_for = MadeFor { targets, words: blending.words, size };
+        kept.filter(|kept| kept.made_for == made_for)
+            .unwrap_or_else(|| Self::new(connection, blending, formats, made_for))
+    }
+
+    fn new(
+        connection: &Connection,
+        blending: &Blending,
+        formats: Vec<Option<TextureFormat>>,
+        made_for: MadeFor,
+    ) -> Self {
+        let size = made_for.size;
         let mut made = Self {
+            made_for,
             formats,
             views: Vec::new(),
             layers: Vec::new(),
@@ -159,6 +192,15 @@ impl Targets {
         let each = 0..depth_or_array_layers;
         self.layers.push(each.map(|layer| view(TextureViewDimension::D2, layer, 1)).collect());
         self.readings.push(Some(reading));
+    }
+
+    /// Their bytes on the device.
+    pub fn bytes(&self) -> u64 {
+        let texel = |format: TextureFormat| u64::from(format.block_copy_size(None).unwrap_or(0));
+        let targets = self.made_for.targets.iter();
+        let bytes = targets.map(|(format, layers)| format.map_or(0, texel) * u64::from(layers.unwrap_or(1)));
+        let (width, height) = self.made_for.size;
+        (bytes.sum::<u64>() + 4 * u64::from(self.made_for.words)) * u64::from(width) * u64::from(height)
     }
 
     /// What a shader finds that may read the targets before this one.
@@ -215,7 +257,7 @@ fn in_parts(
 }
 
 impl Job<'_> {
-    fn run(&self, layouts: &mut Layouts, stop: Stop<'_>, image: &mut Image) -> Result<()> {
+    fn run(&self, layouts: &mut Layouts, stop: Stop<'_>, canvas: &Canvas, image: &mut Image) -> Result<()> {
         let parts: Vec<_> = self.blending.draws.iter().map(|draw| self.parts(draw)).collect();
         // the background comes first and the image last
         let passes = 2 + parts.iter().map(Vec::len).sum::<usize>();
@@ -235,25 +277,14 @@ impl Job<'_> {
         let readings = self.targets.before(self.targets.views.len());
         let group = self.targets.group(self.connection, layouts, &readings);
         let Some(targets) = group else { unreachable!("there is a target") };
-        let entry = Entry { module: self.module, point: self.blending.resolve };
-        let pipeline = layouts.compute(
-            &self.connection.device,
-            entry,
-            reads(&readings),
-            true,
-            &self.picture.knowledge(),
-        );
-        resolve(
-            self.connection,
-            layouts,
-            recorder,
-            self.picture,
-            self.form,
-            self.rows,
-            &pipeline,
-            [self.frame, &targets],
-            image,
-        )
+        let resolve = Resolve {
+            shader: Entry { module: self.module, point: self.blending.resolve },
+            reads: reads(&readings),
+            targets_are_whole: false,
+            groups: [self.frame, &targets],
+            rows: self.rows,
+        };
+        resolve.run(self.connection, layouts, recorder, self.picture, canvas, image)
     }
 
     fn show_background(&self, layouts: &mut Layouts, recorder: &mut Recorder<'_>) -> Result<()> {

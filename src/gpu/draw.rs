@@ -1,9 +1,12 @@
 //! What all passes over the geometry and over the image share.
 
+use super::blend::Targets;
+use super::canvas::{Canvas, landed_row};
 use super::device::Connection;
+use super::draws::flag;
 use super::form::tiled::RasterPath;
 use super::form::{Form, Path};
-use super::layouts::{Layouts, flag};
+use super::layouts::Layouts;
 use super::picture::{Picture, buffer, bytes_of};
 use super::recorder::{Recorder, Stage, Times};
 use crate::error::Result;
@@ -43,6 +46,33 @@ pub struct Gpu {
     pub layouts: Layouts,
     /// Where shaders count fragments whose weight is none, and those that are dropped.
     counters: Buffer,
+    /// What was drawn into last.
+    pub(super) kept: Kept,
+}
+
+/// Targets and an image that wait for the next call of their kind: a device takes milliseconds to make them.
+#[derive(Debug, Default)]
+pub struct Kept {
+    pub(super) targets: Option<Targets>,
+    pub(super) canvas: Option<Canvas>,
+}
+
+impl Kept {
+    /// Bytes of each, at most.
+    const MOST: u64 = 256 << 20;
+
+    /// The canvas for so many rows of a form's image.
+    pub(super) fn canvas(&mut self, connection: &Connection, form: &Form, size: (u32, u32)) -> Canvas {
+        Canvas::like(self.canvas.take(), connection, size, textures(form))
+    }
+
+    /// Keeps what can be used again.
+    pub(super) fn keep(&mut self, targets: Option<Targets>, canvas: Canvas) {
+        if let Some(targets) = targets.filter(|targets| targets.bytes() <= Self::MOST) {
+            self.targets = Some(targets);
+        }
+        self.canvas = Some(canvas).filter(|canvas| canvas.bytes() <= Self::MOST);
+    }
 }
 
 pub(super) type Stop<'a> = &'a (dyn Fn() -> bool + Sync);
@@ -67,7 +97,7 @@ impl Gpu {
         let layouts = Layouts::new(&connection.device);
         let usage = BufferUsages::STORAGE | BufferUsages::COPY_SRC;
         let counters = buffer(&connection, "counters", 8, usage);
-        Self { connection, layouts, counters }
+        Self { connection, layouts, counters, kept: Kept::default() }
     }
 
     /// What shaders know of the image, some of its rows and the technique's params.
@@ -150,7 +180,7 @@ impl Gpu {
     }
 
     pub(super) fn rows_per_band(&self, picture: &Picture, form: &Form) -> u32 {
-        let row = texel_bytes(form) * u64::from(picture.width);
+        let row = textures(form) as u64 * landed_row(picture.width);
         u32::try_from(self.most_bytes() / row).unwrap_or(u32::MAX).max(1)
     }
 }
@@ -183,7 +213,12 @@ pub(super) fn resolve(
 }
 
 pub(super) fn texel_bytes(form: &Form) -> u64 {
-    if form.colored_transmittance { 2 * TEXEL } else { TEXEL }
+    textures(form) as u64 * TEXEL
+}
+
+/// Texels of a pixel of the image.
+fn textures(form: &Form) -> usize {
+    if form.colored_transmittance { 2 } else { 1 }
 }
 
 pub(super) fn dispatch(

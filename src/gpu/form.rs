@@ -137,7 +137,7 @@ pub struct Peeling {
     pub peel: &'static str,
     /// That of the pass over the image which composites what was peeled, and says whether there was anything.
     pub composite: &'static str,
-    /// The compute shader's.
+    /// That of the one that makes the image.
     pub resolve: &'static str,
     /// What layers in front are composited in, and those behind.
     pub sums: Vec<BlendTarget>,
@@ -347,6 +347,7 @@ impl Form {
         let sized;
         match &self.path {
             Path::Blended(blending) => {
+                parts.push(BACKGROUND);
                 parts.extend(blending.blocks);
                 parts.push(blending.targets_block);
             }
@@ -363,7 +364,7 @@ impl Form {
             }
             Path::Sampled(sampling) => {
                 sized = constants(None, &sampling.sizes);
-                parts.push(&sized);
+                parts.extend([BACKGROUND, &sized]);
                 parts.extend(blocks_of_fragments(None, &sampling.sizes));
             }
             // params may ask for a stream instead, which is in the same file

@@ -88,11 +88,13 @@ impl Packed {
         let unit = if perspective { f64::from(f32::from_bits(far.to_bits() & 0x7f80_0000)) } else { 1.0 };
         let scaled = |l: &Linear| Linear { at: l.at * unit, x: l.x * unit, y: l.y * unit };
         let depth = scaled(&drawn.depth);
-        let upper = single(depth.at);
-        record.floats([upper, single(depth.at - f64::from(upper)), near, far]);
-        record.floats(in_parts(depth.x));
+        let bounds = pixel_bounds_of(drawn.outline.points(), image);
+        let [at, x, y] = in_parts(&depth, reach(&bounds, drawn.anchor));
+        record.floats(at);
+        record.signed([drawn.primitive.cast_signed()]);
+        record.floats(x);
         record.signed([record.outline.0]);
-        record.floats(in_parts(depth.y));
+        record.floats(y);
         record.signed([record.outline.1]);
         let varying = match drawn.paint {
             Paint::Flat(color) => {
@@ -105,7 +107,8 @@ impl Packed {
                 (self.varying.len() - 1) as u32
             }
         };
-        record.signed([drawn.primitive.cast_signed(), varying.cast_signed()]);
+        record.floats([near, far]);
+        record.signed([varying.cast_signed()]);
         let has = &mut self.traits;
         has.outlines |= record.outline.1 > 0;
         has.slopes |= near < far;
@@ -163,13 +166,32 @@ fn single(x: f64) -> f32 {
     x.clamp(f64::from(f32::MIN), f64::from(f32::MAX)) as f32
 }
 
-/// Ten digits, ten more, and the rest: the first two times a number of up to 14 digits are exact in f32.
-fn in_parts(x: f64) -> [f32; 3] {
-    const TEN_DIGITS: u64 = !0 << 43;
-    let upper = |x: f64| f64::from_bits(single_range(x).to_bits() & TEN_DIGITS);
-    let first = upper(x);
-    let second = upper(single_range(x) - first);
-    [single(first), single(second), single(single_range(x) - first - second)]
+/// Pixels from the anchor to the furthest one within the bounds, along either axis.
+fn reach(bounds: &Rect, anchor: (i32, i32)) -> [f64; 2] {
+    let axis =
+        |anchor: i32, first: i32, end: i32| f64::from((anchor - first).abs().max((end - anchor).abs()));
+    [axis(anchor.0, bounds.x0, bounds.x1), axis(anchor.1, bounds.y0, bounds.y1)]
+}
+
+/// The numbers of a linear function, each in three parts. The first two are whole multiples of a power of two, small enough that
+/// any sum of such parts at up to that many pixels from the anchor is exact in f32; the third is the rest.
+fn in_parts(function: &Linear, reach: [f64; 2]) -> [[f32; 3]; 3] {
+    const EXPONENT: u64 = 0x7ff << 52;
+    let mut rests = [function.at, function.x, function.y].map(single_range);
+    let mut parts = [[0.0; 3]; 3];
+    for part in 0..2 {
+        let most = rests[0].abs() + rests[1].abs() * reach[0] + rests[2].abs() * reach[1];
+        // 24 digits, of which none is below those of f32
+        let step = (f64::from_bits(most.to_bits() & EXPONENT) / f64::from(1 << 23))
+            .max(f64::from(f32::from_bits(1)));
+        for (rest, parts) in rests.iter_mut().zip(&mut parts) {
+            let whole = (*rest / step).trunc() * step;
+            parts[part] = single(whole);
+            *rest -= whole;
+        }
+    }
+    rests.iter().zip(&mut parts).for_each(|(rest, parts)| parts[2] = single(*rest));
+    parts
 }
 
 fn single_range(x: f64) -> f64 {
@@ -201,13 +223,34 @@ mod tests {
     }
 
     #[test]
-    fn parts_add_up_and_their_products_are_exact() {
-        for x in [0.123_456_789_012_345, -9.87e-7, 1.0, 3.0e9, 0.0] {
-            let parts = in_parts(x);
-            let sum: f64 = parts.iter().map(|p| f64::from(*p)).sum();
-            assert!((sum - x).abs() <= 1e-13 * x.abs(), "{x} {parts:?}");
-            for part in &parts[..2] {
-                assert_eq!(f64::from(part * 16_383.0), f64::from(*part) * 16_383.0);
+    fn parts_add_up_and_sums_of_their_products_are_exact() {
+        let functions = [
+            (0.123_456_789_012_345, -9.87e-7, 3.21e-5),
+            (-7.77e8, 1.0, -1.0 / 3.0),
+            (0.1, 55.5, -77.7),
+            (1e-44, 1e-45, 0.0),
+            (0.0, 0.0, 0.0),
+        ];
+        for ((at, x, y), reach) in functions.into_iter().flat_map(|f| [0, 3, 1919, 16_383].map(|n| (f, n))) {
+            let parts = in_parts(&Linear { at, x, y }, [reach.into(), reach.into()]);
+            for (dx, dy) in [(reach, -reach), (-reach, -reach), (reach / 2, reach), (1, 0)] {
+                if dx.abs().max(dy.abs()) > reach {
+                    continue;
+                }
+                #[expect(clippy::cast_precision_loss, reason = "whole numbers of less than 2^24")]
+                let [px, py] = [dx as f32, dy as f32];
+                let (wide_x, wide_y) = (f64::from(dx), f64::from(dy));
+                let mut sum = 0.0;
+                for part in 0..3 {
+                    let [at, x, y] = parts.map(|of| of[part]);
+                    let wide = f64::from(at) + f64::from(x) * wide_x + f64::from(y) * wide_y;
+                    let single = at + (x * px + y * py);
+                    assert!(part == 2 || f64::from(single) == wide, "{parts:?} {dx} {dy}: {single} {wide}");
+                    sum += f64::from(single);
+                }
+                let (exact, most) =
+                    (at + x * wide_x + y * wide_y, at.abs() + (x * wide_x).abs() + (y * wide_y).abs());
+                assert!((sum - exact).abs() <= 2e-12 * most + 1e-44, "{parts:?} {dx} {dy}: {sum} {exact}");
             }
         }
     }

@@ -1,8 +1,8 @@
 //! How shaders and buffers meet: bind group layouts, pipelines (made once each), formats and blend functions.
 
 use super::device::Connection;
+use super::draws::Draws;
 use super::form::{Blend, BlendTarget, Blending};
-use super::geometry::Traits;
 use crate::error::{Error, Result};
 use crate::format::Format;
 use std::collections::HashMap;
@@ -98,11 +98,6 @@ pub enum Reads<'a> {
 /// Pipelines that are kept: several for each technique.
 const KEPT_PIPELINES: usize = 256;
 
-/// A pipeline's constant.
-pub fn flag(on: bool) -> f64 {
-    f64::from(u8::from(on))
-}
-
 const WORDS: BindingType = BindingType::Texture {
     sample_type: TextureSampleType::Uint,
     view_dimension: TextureViewDimension::D2,
@@ -131,64 +126,6 @@ pub fn tile_entries(textures: &[TextureFormat]) -> Vec<BindGroupLayoutEntry> {
         in_compute(binding, BindingType::StorageTexture { access, format: *format, view_dimension })
     });
     std::iter::once(uniform).chain(buffers).chain(written).collect()
-}
-
-/// What a render pipeline is for.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Draws {
-    /// Primitives, of which this is known.
-    Primitives(Known),
-    /// The same with so many samples at a time: into them, or of what is shown by them.
-    Samples { count: u32, covers: bool, known: Known },
-    /// The whole image.
-    Background,
-}
-
-/// What is known of primitives.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Known {
-    pub perspective: bool,
-    pub zero_fragments: bool,
-    pub opaque: bool,
-    pub traits: Traits,
-}
-
-impl Known {
-    fn constants(self) -> Vec<(&'static str, f64)> {
-        let Self { perspective, zero_fragments, opaque, traits } = self;
-        vec![
-            ("perspective", flag(perspective)),
-            ("shows_zero_fragments", flag(zero_fragments)),
-            ("has_opaque", flag(opaque)),
-            ("has_outlines", flag(traits.outlines)),
-            ("has_slopes", flag(traits.slopes)),
-            ("has_varying_colors", flag(traits.varying_colors)),
-            ("has_zero_fragments", flag(traits.zero_fragments)),
-        ]
-    }
-}
-
-impl Draws {
-    /// The vertex shader, and constants of both shaders.
-    pub fn vertex(self) -> (&'static str, Vec<(&'static str, f64)>) {
-        match self {
-            Self::Background => ("cover_all", vec![]),
-            Self::Primitives(known) => ("place", known.constants()),
-            Self::Samples { count, covers, known } => {
-                let mut constants = known.constants();
-                constants.push(("samples_at_a_time", count.into()));
-                (if covers { "place_around" } else { "place" }, constants)
-            }
-        }
-    }
-
-    /// Samples per pixel of what is drawn into.
-    fn samples(self) -> u32 {
-        match self {
-            Self::Samples { count, covers: true, .. } => count,
-            _ => 1,
-        }
-    }
 }
 
 impl Reading {
@@ -299,7 +236,7 @@ impl Layouts {
         self.make_room();
         let module = self.module(device, shader.module);
         let groups = match draws {
-            Draws::Background => [Some(&self.frame), None, third],
+            Draws::Background | Draws::Image { .. } => [Some(&self.frame), None, third],
             Draws::Primitives(_) | Draws::Samples { .. } => [Some(&self.frame), Some(&self.geometry), third],
         };
         let used = groups.iter().rposition(Option::is_some).map_or(0, |last| last + 1);

@@ -2,8 +2,9 @@
 
 use super::device::Connection;
 use super::draw::{Gpu, Image, Stop, attachment, dispatch, draw_primitives, group, resolve};
+use super::draws::flag;
 use super::form::{Capacity, Form, Sorting, list_module};
-use super::layouts::{Entry, Layouts, Reads, flag, plain};
+use super::layouts::{Entry, Layouts, Reads, plain};
 use super::picture::{Given, Picture, buffer, bytes_of, texture};
 use super::recorder::{Recorder, Stage, read};
 use crate::error::{Error, Result};

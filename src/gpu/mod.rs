@@ -6,9 +6,13 @@
 #[cfg(feature = "gpu")]
 mod blend;
 #[cfg(feature = "gpu")]
+mod canvas;
+#[cfg(feature = "gpu")]
 mod device;
 #[cfg(feature = "gpu")]
 mod draw;
+#[cfg(feature = "gpu")]
+mod draws;
 pub mod form;
 #[cfg(feature = "gpu")]
 mod geometry;

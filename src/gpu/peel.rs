@@ -1,9 +1,11 @@
 //! Peeling: passes over the geometry that each find the next layers of every pixel, until there are none.
 
+use super::canvas::Resolve;
 use super::device::Connection;
-use super::draw::{Gpu, Image, Stop, attachment, draw_primitives, group, resolve};
+use super::draw::{Gpu, Image, Stop, attachment, draw_primitives, group};
+use super::draws::Draws;
 use super::form::{Blend, BlendTarget, Ends, Form, Peeling};
-use super::layouts::{Draws, Entry, Layouts, Reading, Reads, blended, plain};
+use super::layouts::{Entry, Layouts, Reading, Reads, blended, plain};
 use super::picture::{Picture, buffer, texture};
 use super::recorder::{PASSES, Recorder, Stage, Times};
 use crate::error::{Error, Result};
@@ -273,17 +275,23 @@ impl Gpu {
         let Some(layout) = layout else { unreachable!("it reads targets") };
         let targets = group(&self.connection, &layout, &views);
         let module = form.module();
-        let [has_opaque] = picture.knowledge();
-        let constants = [has_opaque, ("targets_are_whole", 1.0)];
-        for band in &self.bands_of_rows(picture, form) {
+        let bands = self.bands_of_rows(picture, form);
+        let rows = bands.first().map_or(0, |band| band.end - band.start);
+        let canvas = self.kept.canvas(&self.connection, form, (picture.width, rows));
+        for band in &bands {
             let frame = self.frame(picture, band, &params);
             let Self { connection, layouts, .. } = &mut *self;
             let recorder = Recorder::new(connection, stop);
-            let entry = Entry { module: &module, point };
-            let pipeline = layouts.compute(&connection.device, entry, reads, true, &constants);
-            let groups = [&frame, &targets];
-            resolve(connection, layouts, recorder, picture, form, band, &pipeline, groups, image)?;
+            let resolve = Resolve {
+                shader: Entry { module: &module, point },
+                reads,
+                targets_are_whole: true,
+                groups: [&frame, &targets],
+                rows: band,
+            };
+            resolve.run(connection, layouts, recorder, picture, &canvas, image)?;
         }
+        self.kept.keep(None, canvas);
         Ok(())
     }
 }

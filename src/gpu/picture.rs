@@ -1,8 +1,9 @@
 //! A scene on the device: its primitives, and the opaque surfaces behind them.
 
 use super::device::Connection;
+use super::draws::{Draws, Known, flag};
 use super::geometry::{Packed, Traits, Viewport};
-use super::layouts::{Draws, Known, Layouts, flag};
+use super::layouts::Layouts;
 use super::tiles::Planned;
 use crate::error::{Error, Result};
 use crate::raster::{Drawn, Rect};

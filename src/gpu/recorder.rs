@@ -1,5 +1,6 @@
 //! Commands on their way to the device, the time that they take there, and what they bring back.
 
+use super::canvas::Canvas;
 use super::device::Connection;
 use super::picture::buffer;
 use crate::error::{Error, Result};
@@ -181,17 +182,32 @@ impl<'a> Recorder<'a> {
     /// # Errors
     /// As [`Recorder::finish`].
     pub fn finish_all(mut self, sources: &[(&Buffer, u64)]) -> Result<(Vec<Buffer>, Times)> {
-        let connection = self.connection;
         let mut landed = Vec::new();
         for (source, bytes) in sources {
-            let landing = buffer(connection, "readback", *bytes, BufferUsages::MAP_READ);
+            let landing = buffer(self.connection, "readback", *bytes, BufferUsages::MAP_READ);
             self.encoder.copy_buffer_to_buffer(source, 0, &landing, 0, *bytes);
             landed.push(landing);
         }
+        let times = self.land(&landed.iter().collect::<Vec<_>>())?;
+        Ok((landed, times))
+    }
+
+    /// The same for some rows of an image.
+    ///
+    /// # Errors
+    /// As [`Recorder::finish`].
+    pub fn finish_canvas(mut self, canvas: &Canvas, rows: u32) -> Result<Times> {
+        canvas.land(&mut self.encoder, rows);
+        self.land(&[canvas.landing()])
+    }
+
+    /// Submits everything, and waits until it is done and these buffers can be read.
+    fn land(mut self, landings: &[&Buffer]) -> Result<Times> {
+        let connection = self.connection;
         let stamps = self.land_stamps();
         let submission = connection.queue.submit([self.encoder.finish()]);
         let (sender, receiver) = channel();
-        for landing in landed.iter().chain(&stamps) {
+        for landing in landings.iter().copied().chain(&stamps) {
             let sender = sender.clone();
             landing.slice(..).map_async(MapMode::Read, move |mapped| _ = sender.send(mapped.is_ok()));
         }
@@ -209,7 +225,7 @@ impl<'a> Recorder<'a> {
                 times.add(*stage, stamps[1].saturating_sub(stamps[0]) as f64 * period);
             }
         }
-        Ok((landed, times))
+        Ok(times)
     }
 
     /// Has the stamps copied to where they can be read.

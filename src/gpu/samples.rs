@@ -3,8 +3,9 @@
 
 use super::device::Connection;
 use super::draw::{Gpu, Image, Stop, attachment, draw_primitives, group};
+use super::draws::Draws;
 use super::form::{BlendTarget, Form, Sampling};
-use super::layouts::{Draws, Entry, blended, plain};
+use super::layouts::{Entry, blended, plain};
 use super::peel::ends_ties_by_order;
 use super::picture::Picture;
 use super::recorder::{PASSES, Recorder, Stage, Times};

@@ -1,7 +1,7 @@
 //! What outlives a call: the device, its pipelines, and the scenes that were drawn last.
 
 use super::device::Connection;
-use super::draw::{Gpu, Image};
+use super::draw::{Gpu, Image, Kept as KeptTargets};
 use super::form::Form;
 use super::form::tiled::RasterPath;
 use super::picture::{Given, Picture, View};
@@ -75,6 +75,7 @@ pub fn with_gpu<T>(work: impl FnOnce(&mut Shared) -> Result<T>) -> Result<T> {
     if result.is_err() {
         // what was being made may be half there
         shared.kept.clear();
+        shared.gpu.kept = KeptTargets::default();
     }
     result
 }

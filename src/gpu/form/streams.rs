@@ -134,7 +134,7 @@ pub struct Sampling {
     pub cover: &'static str,
     /// The one that looks at the samples.
     pub look: &'static str,
-    /// The compute shader's entry point.
+    /// The one that makes the image.
     pub resolve: &'static str,
     /// What the second one adds to.
     pub sums: Vec<BlendTarget>,

@@ -13,7 +13,7 @@ pub struct Blending {
     pub targets: Vec<BlendTarget>,
     /// The passes over the geometry.
     pub draws: Vec<Draw>,
-    /// The compute shader's entry point.
+    /// The entry point of the fragment shader that makes the image of them.
     pub resolve: &'static str,
     /// Whether the first target holds the background when drawing begins.
     pub over_background: bool,

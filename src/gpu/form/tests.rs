@@ -42,11 +42,13 @@ fn every_form_is_a_valid_shader_with_the_entry_points_and_params_it_names() {
         let needed = match &form.path {
             Path::Blended(blending) => {
                 let draws = blending.draws.iter().map(|draw| draw.shader);
-                ["place", blending.resolve].into_iter().chain(draws).collect()
+                ["place", "cover_all", blending.resolve].into_iter().chain(draws).collect()
             }
             Path::Listed(listing) => vec!["place", "count_fragment", "sort_lists", listing.resolve],
             Path::Streamed(_) => vec!["place", "count_fragment", "sort_lists", "resolve_stream"],
-            Path::Sampled(sampling) => vec!["place_around", sampling.cover, sampling.look, sampling.resolve],
+            Path::Sampled(sampling) => {
+                vec!["place_around", "cover_all", sampling.cover, sampling.look, sampling.resolve]
+            }
             Path::Peeled(peeling) => {
                 vec!["place", "cover_all", peeling.peel, peeling.composite, peeling.resolve]
             }
@@ -107,7 +109,7 @@ fn masks_of_samples_are_a_form_of_what_has_masks() {
     let Path::Sampled(sampling) = &form.path else { panic!("{form:?}") };
     let module = validated("samples", &form.module());
     let (size, names) = interface(&module);
-    for name in ["place_around", sampling.cover, sampling.look, sampling.resolve] {
+    for name in ["place_around", "cover_all", sampling.cover, sampling.look, sampling.resolve] {
         assert!(names.contains(&name), "{names:?}");
     }
     let bytes = u32::try_from(4 * form.numbers.len()).unwrap();
