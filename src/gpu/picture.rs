@@ -6,6 +6,7 @@ use super::layouts::{Draws, Known, Layouts, flag};
 use super::tiles::Planned;
 use crate::error::{Error, Result};
 use crate::raster::{Drawn, Rect};
+use std::sync::OnceLock;
 use wgpu::{
     BindGroup, BindGroupDescriptor, BindGroupEntry, Buffer, BufferDescriptor, BufferUsages, Extent3d,
     Texture, TextureDescriptor, TextureDimension, TextureFormat, TextureUsages, TextureView,
@@ -57,10 +58,9 @@ pub struct Picture {
     pub opaque_color: TextureView,
     /// Draw calls: buffers and the number of primitives in them.
     pub batches: Vec<(BindGroup, u32)>,
-    /// Fragments per pixel, a `u32` each.
-    pub counts: Buffer,
-    /// The places of primitives in the order in which they are drawn, by their ids, where that is not the order of ids.
-    pub ranks: Buffer,
+    /// The ids of primitives in the order in which they are drawn, where lists may be sorted by that.
+    order: Vec<u32>,
+    ranks: OnceLock<Buffer>,
     /// Fragments of each row, and of its deepest pixel; empty until they have been counted.
     pub rows: Vec<[u32; 2]>,
     /// Fragments that are there already, instead of primitives.
@@ -128,32 +128,24 @@ fn uploaded<T: bytemuck::Pod>(
     texture.create_view(&wgpu::TextureViewDescriptor::default())
 }
 
-/// The places of primitives in the order in which they come, by their ids.
-#[derive(Debug, Default)]
-struct Ranks {
-    places: Vec<u32>,
-    count: u32,
-}
+/// Bytes of a primitive's rank.
+pub const RANK: u64 = 8;
 
-impl Ranks {
-    /// The next one.
-    fn add(&mut self, primitive: u32) {
-        let id = primitive as usize;
-        if self.places.len() <= id {
-            self.places.resize(id + 1, 0);
-        }
-        self.places[id] = self.count;
-        self.count += 1;
-    }
+/// Ids in ascending order, each with the place that it has among `ids`.
+fn ranks_of(ids: &[u32]) -> Vec<[u32; 2]> {
+    let mut ranks: Vec<_> = ids.iter().zip(0..).map(|(id, place)| [*id, place]).collect();
+    ranks.sort_unstable();
+    // buffers have room for two at least, and searches look at all of it
+    ranks.resize(ranks.len().max(2), [u32::MAX; 2]);
+    ranks
 }
 
 impl Picture {
-    /// Takes a scene to the device, its primitives in the order in which they come. They have `ranks` if that is not the order
-    /// of their ids.
+    /// Takes a scene to the device, its primitives in the order in which they come, by which lists can be sorted if they are
+    /// `ranked`.
     ///
     /// # Errors
-    /// [`Error::Argument`] for an image beyond the device's limits, [`Error::Memory`] for more ranks than one of its buffers
-    /// holds.
+    /// [`Error::Argument`] for an image beyond the device's limits.
     pub fn new<'a>(
         connection: &Connection,
         layouts: &Layouts,
@@ -185,21 +177,22 @@ impl Picture {
                 &opaque.color,
             ),
             batches: Vec::new(),
-            counts: buffer(connection, "counts", 4 * pixels, BufferUsages::STORAGE | BufferUsages::COPY_SRC),
-            ranks: buffer(connection, "no ranks", 4, BufferUsages::STORAGE),
+            order: Vec::new(),
+            ranks: OnceLock::new(),
             rows: Vec::new(),
             given: None,
             plan: Planned::new(),
-            bytes: 4 * pixels + if view.opaque.is_some() { 20 * pixels } else { 0 },
+            bytes: if view.opaque.is_some() { 20 * pixels } else { 0 },
         };
-        let mut ranks = Ranks::default();
+        let mut order = Vec::new();
         let primitives = primitives.inspect(|drawn| {
             if ranked {
-                ranks.add(drawn.primitive);
+                order.push(drawn.primitive);
             }
         });
         picture.add_primitives(connection, layouts, primitives);
-        picture.add_ranks(connection, &ranks.places)?;
+        picture.bytes += RANK * order.len() as u64;
+        picture.order = order;
         Ok(picture)
     }
 
@@ -214,30 +207,32 @@ impl Picture {
         given: Given,
     ) -> Result<Self> {
         let mut picture = Self::new(connection, layouts, view, std::iter::empty(), false)?;
-        connection.queue.write_buffer(&picture.counts, 0, bytes_of(&given.counts));
         let row = |counts: &[u32]| [counts.iter().sum(), counts.iter().copied().max().unwrap_or(0)];
         picture.rows = given.counts.chunks(view.width as usize).map(row).collect();
         picture.given = Some(given);
         Ok(picture)
     }
 
-    fn add_ranks(&mut self, connection: &Connection, ranks: &[u32]) -> Result<()> {
-        let (bytes, limits) = (4 * ranks.len() as u64, &connection.limits);
-        let most = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
-        if bytes > most {
+    /// The ids of what is drawn, in ascending order, each with its place in the order in which it is drawn.
+    ///
+    /// # Errors
+    /// [`Error::Memory`] for more than one of the device's buffers holds.
+    pub fn ranks(&self, connection: &Connection) -> Result<&Buffer> {
+        let (count, limits) = (self.order.len() as u64, &connection.limits);
+        let most = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size) / RANK;
+        if count > most {
             return Err(Error::Memory(format!(
-                "the order of {} primitives; {} keeps that of {}: submission_order=\"as_is\" and \"reversed\" need none",
-                ranks.len(),
-                connection.info.name,
-                most / 4
+                "the order of the {count} primitives in sight; {} keeps that of {most}: submission_order=\"as_is\" and \"reversed\" need \
+                 none",
+                connection.info.name
             )));
         }
-        if bytes > 0 {
-            self.ranks = buffer(connection, "ranks", bytes, BufferUsages::STORAGE);
-            connection.queue.write_buffer(&self.ranks, 0, bytes_of(ranks));
-            self.bytes += bytes;
-        }
-        Ok(())
+        Ok(self.ranks.get_or_init(|| {
+            let ranks = ranks_of(&self.order);
+            let ranked = buffer(connection, "ranks", RANK * ranks.len() as u64, BufferUsages::STORAGE);
+            connection.queue.write_buffer(&ranked, 0, bytes_of(&ranks));
+            ranked
+        }))
     }
 
     /// Primitives in as many draw calls as buffers of the device's largest size take.
@@ -333,14 +328,16 @@ pub fn check_size(connection: &Connection, width: u32, height: u32) -> Result<()
             return Err(Error::argument(name, problem));
         }
     }
-    let pixels = u64::from(width) * u64::from(height);
-    let most = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size) / 4;
-    if pixels > most {
-        let problem = format!(
-            "an image of {pixels} pixels; {} counts fragments of {most} at most: a smaller one fits",
-            connection.info.name
-        );
-        return Err(Error::argument("width", problem));
-    }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ranks_are_found_by_ids_whatever_these_are() {
+        assert_eq!(ranks_of(&[7, u32::MAX, 0]), [[0, 2], [7, 0], [u32::MAX, 1]]);
+        assert_eq!(ranks_of(&[5]), [[5, 0], [u32::MAX; 2]]);
+    }
 }

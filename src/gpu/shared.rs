@@ -95,7 +95,8 @@ impl Shared {
         self.kept.iter().find(|kept| kept.key.scene == scene).map(|kept| kept.range)
     }
 
-    /// Takes a scene to the device and counts its fragments.
+    /// Takes a scene to the device and counts its fragments. Lists can be sorted by the order of its primitives if they are
+    /// `ranked`.
     ///
     /// # Errors
     /// [`crate::Error::Argument`] for what is beyond the device's limits, and the device's own.
@@ -105,11 +106,11 @@ impl Shared {
         range: params::View,
         view: &View,
         primitives: impl Iterator<Item = Drawn<'a>>,
+        ranked: bool,
         stop: &(dyn Fn() -> bool + Sync),
     ) -> Result<()> {
         let Gpu { connection, layouts, .. } = &mut self.gpu;
-        let mut picture =
-            Picture::new(connection, layouts, view, primitives, key.order != SubmissionOrder::AsIs)?;
+        let mut picture = Picture::new(connection, layouts, view, primitives, ranked)?;
         self.gpu.count(&mut picture, stop)?;
         self.keep(key, picture, range);
         Ok(())

@@ -305,7 +305,7 @@ impl<'a> Job<'a> {
         }
         let are_sorted = key.order == SubmissionOrder::Sorted;
         let points = points(&reordered, fragments.width, are_sorted);
-        self.shared.load(key, fragments.view, &view, points, self.stop)
+        self.shared.load(key, fragments.view, &view, points, false, self.stop)
     }
 
     fn load_scene(&mut self, scene: &Scene, key: Key) -> Result<params::View> {
@@ -327,13 +327,13 @@ impl<'a> Job<'a> {
         };
         let range = raster.view();
         if order == SubmissionOrder::AsIs {
-            self.shared.load(key, range, &view, raster.drawn(), stop)?;
+            self.shared.load(key, range, &view, raster.drawn(), false, stop)?;
         } else {
             let drawn: Vec<_> = raster.drawn().collect();
             let ids: Vec<_> = drawn.iter().map(|primitive| primitive.primitive).collect();
             let places = order.of_primitives(&ids, centroids.as_ref());
             let arranged = places.into_iter().map(|place| drawn[place as usize]);
-            self.shared.load(key, range, &view, arranged, stop)?;
+            self.shared.load(key, range, &view, arranged, order != SubmissionOrder::Reversed, stop)?;
         }
         Ok(range)
     }
