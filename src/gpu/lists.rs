@@ -10,8 +10,8 @@ use crate::error::{Error, Result};
 use std::ops::Range;
 use std::sync::Arc;
 use wgpu::{
-    BindGroup, Buffer, BufferUsages, Color, ColorWrites, ComputePipeline, LoadOp, StoreOp, TextureFormat, TextureUsages,
-    TextureViewDescriptor,
+    BindGroup, Buffer, BufferUsages, Color, ColorWrites, ComputePipeline, LoadOp, StoreOp, TextureFormat,
+    TextureUsages, TextureViewDescriptor,
 };
 
 /// Bytes of a fragment's colour, the larger part of what is kept of it.

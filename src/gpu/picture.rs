@@ -5,7 +5,9 @@ use super::geometry::{Packed, Traits, Viewport};
 use super::layouts::{Draws, Known, Layouts, flag};
 use super::tiles::Planned;
 use crate::error::{Error, Result};
-use crate::raster::{Drawn, Rect};
+use crate::params;
+use crate::raster::{Drawn, Rect, pixel_bounds_of};
+use std::ops::Range;
 use std::sync::OnceLock;
 use wgpu::{
     BindGroup, BindGroupDescriptor, BindGroupEntry, Buffer, BufferDescriptor, BufferUsages, Extent3d,
@@ -32,6 +34,29 @@ pub struct View {
     pub opaque: Option<Opaque>,
 }
 
+/// Primitives as they come.
+pub type Primitives<'a> = Box<dyn Iterator<Item = Drawn<'a>> + 'a>;
+
+/// Primitives in the order in which they are drawn, which may be asked for several times.
+pub struct ToDraw<'a> {
+    pub view: View,
+    /// Near, far and the depth range.
+    pub range: params::View,
+    /// Whether that is neither the order of their ids nor the reverse.
+    pub ranked: bool,
+    pub primitives: &'a dyn Fn() -> Primitives<'a>,
+}
+
+/// What there is of a scene.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Totals {
+    pub fragments: u64,
+    /// Those of the deepest pixel.
+    pub deepest: u64,
+    /// Draw calls.
+    pub batches: usize,
+}
+
 /// Every fragment of an image, pixel by pixel as they were submitted.
 #[derive(Debug, Default)]
 pub struct Given {
@@ -48,6 +73,8 @@ pub struct Given {
 pub struct Picture {
     pub width: u32,
     pub height: u32,
+    /// The rows that its primitives are of.
+    pub part: Range<u32>,
     pub perspective: bool,
     pub background: [f32; 3],
     pub viewport: Viewport,
@@ -128,6 +155,24 @@ fn uploaded<T: bytemuck::Pod>(
     texture.create_view(&wgpu::TextureViewDescriptor::default())
 }
 
+#[expect(clippy::cast_possible_wrap, reason = "images are at most MAX_SIZE")]
+fn rect(width: u32, height: u32) -> Rect {
+    Rect { x0: 0, y0: 0, x1: width as i32, y1: height as i32 }
+}
+
+impl View {
+    /// All of the image.
+    pub fn rect(&self) -> Rect {
+        rect(self.width, self.height)
+    }
+}
+
+/// The rows of an image that a primitive may have pixels in, if any.
+pub fn rows_of(primitive: &Drawn<'_>, image: &Rect) -> Option<Range<u32>> {
+    let Rect { y0, y1, .. } = pixel_bounds_of(primitive.outline.points(), image);
+    (y0 < y1).then(|| y0.cast_unsigned()..y1.cast_unsigned())
+}
+
 /// Bytes of a primitive's rank.
 pub const RANK: u64 = 8;
 
@@ -163,6 +208,7 @@ impl Picture {
         let mut picture = Self {
             width,
             height,
+            part: 0..height,
             perspective: view.perspective,
             background: view.background,
             viewport,
@@ -194,6 +240,25 @@ impl Picture {
         picture.bytes += RANK * order.len() as u64;
         picture.order = order;
         Ok(picture)
+    }
+
+    /// The same of what is in some rows, as far as it is to be drawn in compute.
+    ///
+    /// # Errors
+    /// As [`Picture::new`].
+    pub fn of_rows(
+        connection: &Connection,
+        layouts: &Layouts,
+        drawn: &ToDraw<'_>,
+        part: Range<u32>,
+    ) -> Result<Self> {
+        let image = drawn.view.rect();
+        let touches = |primitive: &Drawn<'_>| {
+            rows_of(primitive, &image).is_some_and(|rows| rows.start < part.end && rows.end > part.start)
+        };
+        let primitives = (drawn.primitives)().filter(touches);
+        let picture = Self::new(connection, layouts, &drawn.view, primitives, false)?;
+        Ok(Self { part, ..picture })
     }
 
     /// The same of fragments that are there already.
@@ -236,7 +301,6 @@ impl Picture {
     }
 
     /// Primitives in as many draw calls as buffers of the device's largest size take.
-    #[expect(clippy::cast_possible_wrap, reason = "images are at most MAX_SIZE")]
     fn add_primitives<'a>(
         &mut self,
         connection: &Connection,
@@ -245,7 +309,7 @@ impl Picture {
     ) {
         let limits = &connection.limits;
         let most = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
-        let image = Rect { x0: 0, y0: 0, x1: self.width as i32, y1: self.height as i32 };
+        let image = rect(self.width, self.height);
         let mut packed = Packed::default();
         for primitive in primitives {
             if packed.bytes_with_one_more() > most {
@@ -305,10 +369,11 @@ impl Picture {
         [("has_opaque", flag(self.has_opaque))]
     }
 
-    /// Fragments, and those of the deepest pixel.
-    pub fn totals(&self) -> (u64, u64) {
-        let sum = self.rows.iter().map(|row| u64::from(row[0])).sum();
-        (sum, self.rows.iter().map(|row| u64::from(row[1])).max().unwrap_or(0))
+    /// What there is of it.
+    pub fn totals(&self) -> Totals {
+        let fragments = self.rows.iter().map(|row| u64::from(row[0])).sum();
+        let deepest = self.rows.iter().map(|row| u64::from(row[1])).max().unwrap_or(0);
+        Totals { fragments, deepest, batches: self.batches.len() }
     }
 }
 
