@@ -234,12 +234,17 @@ except MemoryError as error:
     assert "the 2048 words of each of a row's 24 pixels" in str(error), error
 else:
     sys.exit("words beyond the device were kept")
-try:
-    oitlab.render(scene.replace(width=640, height=480), "wboit", backend="gpu")
-except ValueError as error:
-    assert "counts fragments of 4096" in str(error), error
-else:
-    sys.exit("an image beyond the device was rendered")
+# a count takes 4 bytes
+large = oitlab.scenes.blades(width=160, height=120, count=30)
+for technique in ("wboit", "a_buffer", "mlab", "depth_peeling"):
+    pair = [oitlab.render(large, technique, backend=backend) for backend in ("cpu", "gpu")]
+    np.testing.assert_allclose(pair[0].color, pair[1].color, rtol=0, atol=1e-5)
+    assert pair[0].stats.fragments == pair[1].stats.fragments
+got, expected = oitlab.gpu.capture(large), oitlab.capture(large)
+np.testing.assert_array_equal(got.offsets, expected.offsets)
+np.testing.assert_array_equal(got.primitive, expected.primitive)
+got, expected = (oitlab.render(expected, "mlab", backend=backend) for backend in ("gpu", "cpu"))
+np.testing.assert_allclose(got.color, expected.color, rtol=0, atol=1e-5)
 wall = [((-99, -99, 0), (99, -99, 0), (0, 99, 0))] * 20
 mesh = oitlab.Mesh(np.reshape(wall, (-1, 3)), np.arange(60).reshape(-1, 3), color=(1, 1, 1, 0.5))
 deep = oitlab.Scene([mesh], camera=oitlab.Camera(eye=(0, 0, 5)), width=64, height=4)

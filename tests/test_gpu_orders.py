@@ -1,6 +1,9 @@
 """Orders of submission on the GPU, and lists with room for so many fragments, on both rasters."""
 
+import os
 import re
+import subprocess
+import sys
 from typing import Any
 
 import numpy as np
@@ -128,18 +131,65 @@ def test_capacities_without_a_form_are_refused_by_name() -> None:
         oitlab.gpu.render(SCENES["squares"], "a_buffer", params, path="compute")
 
 
-def test_an_order_beyond_the_device_is_an_error_that_says_so() -> None:
+HUGE = 2**32 - 1
+
+
+@pytest.mark.parametrize("order", ORDERS)
+@pytest.mark.parametrize(("technique", "params"), [*ORDERED, ("painter", {}), ("a_buffer", {})])
+def test_fragments_of_any_primitives_come_in_any_order(technique: str, params: Params, order: str) -> None:
+    rng = np.random.default_rng(4)
+    ids = np.array([0, 1, 2**20, 2**31 - 1, 2**31, 2**32 - 2, HUGE], np.uint32)
     fragments = oitlab.Fragments(
-        width=1,
-        height=1,
-        offsets=[0, 2],
-        depth=np.array([1, 2], np.float32),
-        color=np.full((2, 3), 0.25, np.float32),
-        alpha=np.full(2, 0.5, np.float32),
-        primitive=np.array([0, 2**32 - 1], np.uint32),
+        width=3,
+        height=2,
+        offsets=np.arange(7) * 7,
+        depth=rng.choice([1.0, 1.5, 2.0, 3.0], 42).astype(np.float32),
+        color=rng.random((42, 3)).astype(np.float32) / 4,
+        alpha=rng.uniform(0.25, 0.75, 42).astype(np.float32),
+        primitive=np.concatenate([rng.permutation(ids) for _ in range(6)]),
         background=(0.1, 0.2, 0.3),
         near=0.5,
         far=4.0,
     )
-    with pytest.raises(MemoryError, match="the order of 4294967296 primitives"):
-        oitlab.render(fragments, "painter", backend="gpu")
+    given = PARAMS.get(technique, {}) | params
+    if "submission_order" in oitlab.techniques()[technique].params:
+        given |= {"submission_order": order, "seed": 6}
+    elif order != ORDERS[0]:
+        pytest.skip("has no order")
+    expected = oitlab.render(fragments, technique, given)
+    got = oitlab.render(fragments, technique, given, backend="gpu")
+    np.testing.assert_allclose(got.color, expected.color, rtol=0, atol=1e-5)
+
+
+BEYOND = """
+import sys
+import numpy as np, oitlab
+x, y = np.meshgrid(np.linspace(-1, 1, 50), np.linspace(-1, 1, 50))
+centers = np.stack([x, y, np.sin(9 * x * y)], -1).reshape(-1, 1, 3)
+corners = centers + 0.05 * np.array([(-1, -1, 0), (1, -1, 0), (0, 1, 0)])
+colors = np.random.default_rng(1).random((2500, 4))
+mesh = oitlab.Mesh(corners.reshape(-1, 3), np.arange(7500).reshape(-1, 3), face_colors=colors)
+scene = oitlab.Scene([mesh], camera=oitlab.Camera(eye=(0, 0, 5)), width=48, height=48)
+# all of them are in sight, and a rank takes 8 bytes
+for order in ("as_is", "reversed", "sorted", "shuffled", "centroid"):
+    params = {"layers": 2, "submission_order": order}
+    expected = oitlab.render(scene, "mlab", params)
+    try:
+        got = oitlab.render(scene, "mlab", params, backend="gpu")
+    except MemoryError as error:
+        assert order in ("shuffled", "centroid"), order
+        assert "primitives in sight" in str(error) and "keeps that of 2048" in str(error), error
+    else:
+        assert order not in ("shuffled", "centroid"), order
+        np.testing.assert_allclose(got.color, expected.color, rtol=0, atol=1e-5)
+# those that are drawn in their order need no ranks
+pair = [oitlab.render(scene, "painter", backend=backend).color for backend in ("cpu", "gpu")]
+np.testing.assert_allclose(pair[0], pair[1], rtol=0, atol=1e-5)
+"""
+
+
+def test_more_ranks_than_a_buffer_holds_are_an_error_that_says_so() -> None:
+    environment = os.environ | {"OITLAB_GPU_BUFFER_BYTES": "16384"}
+    arguments = [sys.executable, "-c", BEYOND]
+    done = subprocess.run(arguments, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr

@@ -65,7 +65,7 @@ fn is_cut_short() -> bool {
     return steps != 2u || was_cut_short;
 }
 
-// Where a pixel's numbers are among those of the whole image.
+// Where a pixel's numbers are among those of the rows at hand.
 fn place_of(pixel: vec2u) -> u32 {
-    return pixel.y * frame.size.x + pixel.x;
+    return (pixel.y - frame.first_row) * frame.size.x + pixel.x;
 }

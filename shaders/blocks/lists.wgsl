@@ -1,6 +1,6 @@
 // Every fragment of every pixel: counted, given a place, stored, sorted.
 
-// per pixel of the image
+// per pixel of the rows at hand
 @group(2) @binding(0) var<storage, read_write> counts: array<atomic<u32>>;
 // where the next fragment goes: relative to the row's first one, then to all that are kept at a time
 @group(2) @binding(1) var<storage, read_write> places: array<atomic<u32>>;
@@ -12,8 +12,8 @@
 @group(2) @binding(4) var<storage, read_write> keys: array<vec2u>;
 // ... and its premultiplied colour
 @group(2) @binding(5) var<storage, read_write> colors: array<vec4f>;
-// per primitive: its place among those that are drawn, where they come in another order than that of their ids
-@group(2) @binding(6) var<storage, read_write> ranks: array<u32>;
+// per primitive that is drawn, by ascending id: its id, and its place among those that are drawn
+@group(2) @binding(6) var<storage, read_write> ranks: array<vec2u>;
 
 @fragment
 fn count_fragment(placed: Placed) -> @location(0) vec4f {
@@ -22,14 +22,41 @@ fn count_fragment(placed: Placed) -> @location(0) vec4f {
     return vec4f(0.0);
 }
 
-@fragment
-fn store_fragment(placed: Placed) -> @location(0) vec4f {
-    let fragment = fragment_of(placed);
+fn store_in_list(fragment: Fragment) {
     let place = atomicAdd(&places[place_of(fragment.pixel)], 1u);
     if place < arrayLength(&keys) {
         keys[place] = key_of(fragment);
         colors[place] = vec4f(fragment.color, fragment.alpha);
     }
+}
+
+@fragment
+fn store_fragment(placed: Placed) -> @location(0) vec4f {
+    store_in_list(fragment_of(placed));
+    return vec4f(0.0);
+}
+
+// Where a primitive's rank is.
+fn place_of_rank(id: u32) -> u32 {
+    var first = 0u;
+    var end = arrayLength(&ranks);
+    while first < end {
+        let middle = first + (end - first) / 2u;
+        if ranks[middle].x < id {
+            first = middle + 1u;
+        } else {
+            end = middle;
+        }
+    }
+    return first;
+}
+
+// The same with the place of its rank for the primitive, until ids are restored: places of ranks ascend with ids.
+@fragment
+fn store_ranked_fragment(placed: Placed) -> @location(0) vec4f {
+    var fragment = fragment_of(placed);
+    fragment.primitive = place_of_rank(fragment.primitive);
+    store_in_list(fragment);
     return vec4f(0.0);
 }
 
@@ -39,7 +66,7 @@ var<workgroup> part_sums: array<vec2u, ROW_THREADS>;
 // The fragments of a row, and where in it each pixel's are: every thread has a part of the row.
 @compute @workgroup_size(ROW_THREADS)
 fn sum_rows(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) thread: u32) {
-    let row = group.x;
+    let row = group.x; // of those at hand
     let width = frame.size.x;
     let part = (width + ROW_THREADS - 1u) / ROW_THREADS;
     let first = min(thread * part, width);
@@ -56,7 +83,7 @@ fn sum_rows(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index
         before = vec2u(before.x + part_sums[i].x, max(before.y, part_sums[i].y));
     }
     if thread == ROW_THREADS - 1u {
-        row_sums[row] = vec2u(before.x + sum.x, max(before.y, sum.y));
+        row_sums[frame.first_row + row] = vec2u(before.x + sum.x, max(before.y, sum.y));
     }
     var place = before.x;
     for (var x = first; x < last; x++) {
@@ -72,7 +99,7 @@ fn shift_rows(@builtin(global_invocation_id) id: vec3u) {
         return;
     }
     let row = frame.first_row + id.y;
-    atomicAdd(&places[row * frame.size.x + id.x], row_places[row]);
+    atomicAdd(&places[place_of(vec2u(id.x, row))], row_places[row]);
 }
 
 // What is added to the count of a list that was not sorted to its end.
@@ -97,7 +124,7 @@ fn comes_before(a: vec2u, b: vec2u) -> bool {
         return a.y < b.y;
     }
     if sorting == BY_RANK {
-        return ranks[a.y] < ranks[b.y];
+        return ranks[a.y].y < ranks[b.y].y;
     }
     return comes_before_by_depth(a, b);
 }
@@ -173,6 +200,21 @@ fn sort_lists(@builtin(global_invocation_id) id: vec3u) {
     }
     if is_cut_short() {
         atomicOr(&counts[place_of(vec2u(id.x, frame.first_row + id.y))], UNSORTED);
+    }
+}
+
+@compute @workgroup_size(8, 8)
+fn restore_ids(@builtin(global_invocation_id) id: vec3u) {
+    if id.x >= frame.size.x || id.y >= frame.rows {
+        return;
+    }
+    let pixel = vec2u(id.x, frame.first_row + id.y);
+    let list = list_of(pixel);
+    for (var i = list.x; i < list.x + list.y; i++) {
+        keys[i].y = ranks[keys[i].y].x;
+    }
+    if is_cut_short() {
+        atomicOr(&counts[place_of(pixel)], UNSORTED);
     }
 }
 

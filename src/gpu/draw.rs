@@ -33,6 +33,14 @@ pub struct Image {
 }
 
 impl Image {
+    /// Adds the rows below.
+    pub fn append(&mut self, below: Self) {
+        self.texels.extend(below.texels);
+        self.times = self.times.plus(below.times);
+        self.invalid_weights += below.invalid_weights;
+        self.dropped += below.dropped;
+    }
+
     /// Whether there is a pixel that a shader did not finish.
     pub fn is_unfinished(&self) -> bool {
         self.texels.as_chunks::<4>().0.iter().any(|texel| texel[3] <= f32::MIN)
@@ -75,7 +83,8 @@ impl Kept {
     }
 }
 
-pub(super) type Stop<'a> = &'a (dyn Fn() -> bool + Sync);
+/// Whether to stop.
+pub type Stop<'a> = &'a (dyn Fn() -> bool + Sync);
 
 /// Resources by their bindings.
 pub(super) fn group(
@@ -175,8 +184,8 @@ impl Gpu {
     /// As many rows at a time as fit into one buffer.
     pub(super) fn bands_of_rows(&self, picture: &Picture, form: &Form) -> Vec<Range<u32>> {
         let most = self.rows_per_band(picture, form);
-        let starts = (0..picture.height).step_by(most as usize);
-        starts.map(|first| first..(first + most).min(picture.height)).collect()
+        let starts = picture.part.clone().step_by(most as usize);
+        starts.map(|first| first..(first + most).min(picture.part.end)).collect()
     }
 
     pub(super) fn rows_per_band(&self, picture: &Picture, form: &Form) -> u32 {

@@ -5,28 +5,43 @@ use super::draw::{Gpu, Image, Stop, attachment, dispatch, draw_primitives, group
 use super::draws::flag;
 use super::form::{Capacity, Form, Sorting, list_module};
 use super::layouts::{Entry, Layouts, Reads, plain};
-use super::picture::{Given, Picture, buffer, bytes_of, texture};
+use super::picture::{Given, Picture, RANK, buffer, bytes_of, texture};
 use super::recorder::{Recorder, Stage, read};
 use crate::error::{Error, Result};
 use std::ops::Range;
+use std::sync::Arc;
 use wgpu::{
-    BindGroup, Buffer, BufferUsages, Color, ColorWrites, LoadOp, StoreOp, TextureFormat, TextureUsages,
-    TextureViewDescriptor,
+    BindGroup, Buffer, BufferUsages, Color, ColorWrites, ComputePipeline, LoadOp, StoreOp, TextureFormat,
+    TextureUsages, TextureViewDescriptor,
 };
 
 /// Bytes of a fragment's colour, the larger part of what is kept of it.
 const COLOR: u64 = 16;
 /// Bytes of its depth and primitive.
 const KEY: u64 = 8;
+/// Bytes of a pixel's number of fragments.
+const COUNT: u64 = 4;
 
 /// The buffers of lists, by their bindings.
 struct ListBuffers {
     group: BindGroup,
+    counts: Buffer,
     places: Buffer,
     row_sums: Buffer,
     row_places: Buffer,
     keys: Buffer,
     colors: Buffer,
+}
+
+/// Lists of some rows on their way through the device.
+struct Band<'a> {
+    connection: &'a Connection,
+    layouts: &'a mut Layouts,
+    recorder: Recorder<'a>,
+    picture: &'a Picture,
+    frame: &'a BindGroup,
+    lists: &'a ListBuffers,
+    rows: &'a Range<u32>,
 }
 
 impl Gpu {
@@ -35,26 +50,47 @@ impl Gpu {
     /// # Errors
     /// As [`Gpu::image`].
     pub fn count(&mut self, picture: &mut Picture, stop: Stop<'_>) -> Result<()> {
-        let (lists, all) = (self.lists(picture, 0), 0..picture.height);
-        let frame = self.frame(picture, &all, &[]);
-        let Self { connection, layouts, .. } = self;
-        let mut recorder = Recorder::new(connection, stop);
-        count_fragments(connection, layouts, &mut recorder, picture, [&frame, &lists.group])?;
-        picture.rows = recorder.finish(&lists.row_sums, 8 * u64::from(picture.height))?.0;
+        let most = self.rows_of_counts(picture).min(picture.height);
+        let lists = self.lists(picture, most, 0, None);
+        let mut sums = Vec::new();
+        for first in (0..picture.height).step_by(most as usize) {
+            let rows = first..(first + most).min(picture.height);
+            let frame = self.frame(picture, &rows, &[]);
+            let mut band = self.band(picture, &frame, &lists, &rows, stop);
+            band.count()?;
+            sums = band.recorder.finish(&lists.row_sums, 8 * u64::from(picture.height))?.0;
+        }
+        picture.rows = sums;
         Ok(())
     }
 
-    /// Room for so many fragments.
-    fn lists(&self, picture: &Picture, fragments: u64) -> ListBuffers {
+    fn band<'a>(
+        &'a mut self,
+        picture: &'a Picture,
+        frame: &'a BindGroup,
+        lists: &'a ListBuffers,
+        rows: &'a Range<u32>,
+        stop: Stop<'a>,
+    ) -> Band<'a> {
+        let Self { connection, layouts, .. } = self;
+        let recorder = Recorder::new(connection, stop);
+        Band { connection, layouts, recorder, picture, frame, lists, rows }
+    }
+
+    /// Room for so many rows and fragments.
+    fn lists(&self, picture: &Picture, rows: u32, fragments: u64, ranks: Option<&Buffer>) -> ListBuffers {
         let usage = BufferUsages::STORAGE | BufferUsages::COPY_SRC;
         let storage = |label, bytes| buffer(&self.connection, label, bytes, usage);
-        let rows = u64::from(picture.height);
-        let places = storage("places", picture.counts.size());
-        let (row_sums, row_places) = (storage("row sums", 8 * rows), storage("row places", 4 * rows));
+        let pixels = u64::from(picture.width) * u64::from(rows);
+        let (counts, places) = (storage("counts", COUNT * pixels), storage("places", 4 * pixels));
+        let all_rows = u64::from(picture.height);
+        let (row_sums, row_places) = (storage("row sums", 8 * all_rows), storage("row places", 4 * all_rows));
         let (keys, colors) = (storage("keys", KEY * fragments), storage("colors", COLOR * fragments));
-        let all = [&picture.counts, &places, &row_sums, &row_places, &keys, &colors, &picture.ranks];
+        let no_ranks = storage("no ranks", RANK);
+        let ranks = ranks.unwrap_or(&no_ranks);
+        let all = [&counts, &places, &row_sums, &row_places, &keys, &colors, ranks];
         let group = group(&self.connection, &self.layouts.lists, &all.map(Buffer::as_entire_binding));
-        ListBuffers { group, places, row_sums, row_places, keys, colors }
+        ListBuffers { group, counts, places, row_sums, row_places, keys, colors }
     }
 
     /// Lists of all fragments, in as many parts of the image as their number asks for.
@@ -67,28 +103,35 @@ impl Gpu {
         stop: Stop<'_>,
     ) -> Result<Image> {
         let bands = self.bands_of_fragments(picture, self.rows_per_band(picture, form))?;
-        let lists = self.lists_for(picture, &bands);
+        let by_rank = form.capacity().map(|capacity| capacity.sorted).into_iter().chain([sorted]);
+        let is_ranked = picture.given.is_none() && by_rank.into_iter().any(|sorted| sorted == Sorting::Rank);
+        let ranks = if is_ranked { Some(picture.ranks(&self.connection)?) } else { None };
+        let lists = self.lists_for(picture, &bands, ranks);
         let params: Vec<_> = form.numbers.iter().map(|number| number.bits()).collect();
         let module = form.module();
         let mut image = Image::default();
-        for band in &bands {
-            let frame = self.frame(picture, band, &params);
-            let Self { connection, layouts, .. } = self;
-            let mut recorder = Recorder::new(connection, stop);
-            let groups = [&frame, &lists.group];
-            match &picture.given {
-                Some(given) => lists.fill(connection, given, picture, band),
-                None => draw_lists(connection, layouts, &mut recorder, picture, groups, band)?,
+        for rows in &bands {
+            let frame = self.frame(picture, rows, &params);
+            let mut band = self.band(picture, &frame, &lists, rows, stop);
+            if let Some(given) = &picture.given {
+                lists.fill(band.connection, given, picture, rows); // in the order that is asked for
+            } else {
+                band.draw(is_ranked)?;
+                if let Some(capacity) = form.capacity() {
+                    band.sort(capacity.sorted)?;
+                    band.drop_fragments(capacity)?;
+                }
+                band.sort(sorted)?;
+                if is_ranked {
+                    band.step(Stage::Resolve, "restore_ids", &[])?;
+                }
             }
-            if let Some(capacity) = form.capacity() {
-                sort_lists(connection, layouts, &mut recorder, picture, groups, band, capacity.sorted)?;
-                drop_fragments(connection, layouts, &mut recorder, picture, groups, band, capacity)?;
-            }
-            sort_lists(connection, layouts, &mut recorder, picture, groups, band, sorted)?;
+            let Band { connection, layouts, recorder, .. } = band;
             let entry = Entry { module: &module, point };
             let constants: Vec<_> = picture.knowledge().iter().chain(constants).copied().collect();
             let pipeline = layouts.compute(&connection.device, entry, Reads::Lists, true, &constants);
-            resolve(connection, layouts, recorder, picture, form, band, &pipeline, groups, &mut image)?;
+            let groups = [&frame, &lists.group];
+            resolve(connection, layouts, recorder, picture, form, rows, &pipeline, groups, &mut image)?;
         }
         Ok(image)
     }
@@ -98,29 +141,25 @@ impl Gpu {
     /// # Errors
     /// As [`Gpu::image`].
     pub fn capture(&mut self, picture: &Picture, stop: Stop<'_>) -> Result<Given> {
-        let bands = self.bands_of_fragments(picture, u32::MAX)?;
-        let lists = self.lists_for(picture, &bands);
+        let bands = self.bands_of_fragments(picture, self.rows_of_counts(picture))?;
+        let lists = self.lists_for(picture, &bands, None);
         let mut captured = Given::default();
-        for band in &bands {
-            let fragments = fragments_of(picture, band);
-            let frame = self.frame(picture, band, &[]);
-            let Self { connection, layouts, .. } = self;
-            let mut recorder = Recorder::new(connection, stop);
-            let groups = [&frame, &lists.group];
-            draw_lists(connection, layouts, &mut recorder, picture, groups, band)?;
-            sort_lists(connection, layouts, &mut recorder, picture, groups, band, Sorting::Submission)?;
-            // all counts come once, with the last band
-            let last = band.end == picture.height;
-            let counts = if last { 4 * u64::from(picture.width) * u64::from(picture.height) } else { 0 };
+        for rows in &bands {
+            let frame = self.frame(picture, rows, &[]);
+            let mut band = self.band(picture, &frame, &lists, rows, stop);
+            band.draw(false)?;
+            band.sort(Sorting::Submission)?;
+            let fragments = fragments_of(picture, rows);
+            let pixels = u64::from(picture.width) * u64::from(rows.end - rows.start);
             let sources = [
                 (&lists.keys, KEY * fragments),
                 (&lists.colors, COLOR * fragments),
-                (&picture.counts, counts),
+                (&lists.counts, COUNT * pixels),
             ];
-            let (landed, _) = recorder.finish_all(&sources)?;
+            let (landed, _) = band.recorder.finish_all(&sources)?;
             captured.keys.extend(read::<[u32; 2]>(&landed[0], KEY * fragments)?);
             captured.colors.extend(read::<[f32; 4]>(&landed[1], COLOR * fragments)?);
-            captured.counts.extend(read::<u32>(&landed[2], counts)?);
+            captured.counts.extend(read::<u32>(&landed[2], COUNT * pixels)?);
         }
         if captured.counts.iter().any(|count| count >> 31 == 1) {
             return Err(self.connection.cut_short());
@@ -128,15 +167,22 @@ impl Gpu {
         Ok(captured)
     }
 
-    /// Room for the fragments of the fullest band, and where each row's go.
-    fn lists_for(&self, picture: &Picture, bands: &[Range<u32>]) -> ListBuffers {
+    /// Room for the fullest band and the tallest one, and where each row's fragments go.
+    fn lists_for(&self, picture: &Picture, bands: &[Range<u32>], ranks: Option<&Buffer>) -> ListBuffers {
         let most = bands.iter().map(|band| fragments_of(picture, band)).max().unwrap_or(0);
-        let lists = self.lists(picture, most);
+        let rows = bands.iter().map(|band| band.end - band.start).max().unwrap_or(0);
+        let lists = self.lists(picture, rows, most, ranks);
         self.connection.queue.write_buffer(&lists.row_places, 0, bytes_of(&row_places(picture, bands)));
         lists
     }
 
-    /// The same where their fragments have to fit, too.
+    /// As many rows as a buffer holds the counts of.
+    fn rows_of_counts(&self, picture: &Picture) -> u32 {
+        let row = COUNT * u64::from(picture.width);
+        u32::try_from(self.most_bytes() / row).unwrap_or(u32::MAX).max(1)
+    }
+
+    /// At most so many rows at a time, whose fragments have to fit, too.
     fn bands_of_fragments(&self, picture: &Picture, rows: u32) -> Result<Vec<Range<u32>>> {
         let most = self.most_bytes() / COLOR;
         let (mut bands, mut band, mut sum) = (Vec::new(), 0..0, 0);
@@ -180,135 +226,90 @@ fn fragments_of(picture: &Picture, rows: &Range<u32>) -> u64 {
 impl ListBuffers {
     /// Takes fragments that are there already to the device, those of some rows.
     #[expect(clippy::cast_possible_truncation, reason = "what a buffer holds is counted in 32 bits")]
-    fn fill(&self, connection: &Connection, given: &Given, picture: &Picture, band: &Range<u32>) {
-        let first = fragments_of(picture, &(0..band.start)) as usize;
-        let these = first..first + fragments_of(picture, band) as usize;
+    fn fill(&self, connection: &Connection, given: &Given, picture: &Picture, rows: &Range<u32>) {
+        let first = fragments_of(picture, &(0..rows.start)) as usize;
+        let these = first..first + fragments_of(picture, rows) as usize;
         let width = picture.width as usize;
-        let pixels = band.start as usize * width..band.end as usize * width;
+        let counts = &given.counts[rows.start as usize * width..rows.end as usize * width];
         let mut end = 0;
-        let ends = given.counts[pixels.clone()].iter().map(|count| {
+        let ends = counts.iter().map(|count| {
             end += count;
             end
         });
         let ends: Vec<u32> = ends.collect();
-        connection.queue.write_buffer(&self.places, 4 * pixels.start as u64, bytes_of(&ends));
+        connection.queue.write_buffer(&self.counts, 0, bytes_of(counts));
+        connection.queue.write_buffer(&self.places, 0, bytes_of(&ends));
         connection.queue.write_buffer(&self.keys, 0, bytes_of(&given.keys[these.clone()]));
         connection.queue.write_buffer(&self.colors, 0, bytes_of(&given.colors[these]));
     }
 }
 
-/// Stores the fragments of some rows.
-fn draw_lists(
-    connection: &Connection,
-    layouts: &mut Layouts,
-    recorder: &mut Recorder<'_>,
-    picture: &Picture,
-    [frame, lists]: [&BindGroup; 2],
-    band: &Range<u32>,
-) -> Result<()> {
-    if band.start == 0 {
-        // once more than their number is asked for, so that the time is that of a frame
-        count_fragments(connection, layouts, recorder, picture, [frame, lists])?;
+impl Band<'_> {
+    /// How many fragments each pixel and each row has, and where in its row each pixel's go.
+    fn count(&mut self) -> Result<()> {
+        self.recorder.clear(&self.lists.counts);
+        self.raster("count_fragment")?;
+        let pipeline = self.kernel("sum_rows", &[]);
+        let Self { recorder, frame, lists, rows, .. } = self;
+        recorder.compute(Stage::Raster, |pass| {
+            pass.set_pipeline(&pipeline);
+            pass.set_bind_group(0, *frame, &[]);
+            pass.set_bind_group(2, &lists.group, &[]);
+            pass.dispatch_workgroups(rows.end - rows.start, 1, 1);
+        })
     }
-    let module = list_module();
-    let entry = |point| Entry { module: &module, point };
-    let shift = layouts.compute(&connection.device, entry("shift_rows"), Reads::Lists, false, &[]);
-    dispatch(recorder, Stage::Raster, &shift, &[frame, lists], picture, band)?;
-    draw_into_lists(connection, layouts, recorder, picture, "store_fragment", [frame, lists], band)
-}
 
-/// Sorts the lists of some rows.
-fn sort_lists(
-    connection: &Connection,
-    layouts: &mut Layouts,
-    recorder: &mut Recorder<'_>,
-    picture: &Picture,
-    groups: [&BindGroup; 2],
-    band: &Range<u32>,
-    sorting: Sorting,
-) -> Result<()> {
-    if picture.given.is_some() {
-        return Ok(()); // they came in this order
+    /// Stores the fragments. They are counted once more than their number is asked for, so that the time is that of a frame.
+    fn draw(&mut self, numbers_ids: bool) -> Result<()> {
+        self.count()?;
+        self.step(Stage::Raster, "shift_rows", &[])?;
+        self.raster(if numbers_ids { "store_ranked_fragment" } else { "store_fragment" })
     }
-    let module = list_module();
-    let entry = |point| Entry { module: &module, point };
-    let sorting = match sorting {
-        Sorting::Depth => 0.0,
-        Sorting::Submission => 1.0,
-        Sorting::Rank => 2.0,
-    };
-    let constants = [("sorting", sorting)];
-    let sort = layouts.compute(&connection.device, entry("sort_lists"), Reads::Lists, false, &constants);
-    dispatch(recorder, Stage::Resolve, &sort, &groups, picture, band)
-}
 
-/// Leaves as many fragments of each list as there may be.
-fn drop_fragments(
-    connection: &Connection,
-    layouts: &mut Layouts,
-    recorder: &mut Recorder<'_>,
-    picture: &Picture,
-    groups: [&BindGroup; 2],
-    band: &Range<u32>,
-    capacity: Capacity,
-) -> Result<()> {
-    let module = list_module();
-    let entry = Entry { module: &module, point: "drop_fragments" };
-    let constants =
-        [("list_capacity", capacity.fragments.into()), ("drops_backwards", flag(capacity.backwards))];
-    let pipeline = layouts.compute(&connection.device, entry, Reads::Lists, false, &constants);
-    dispatch(recorder, Stage::Resolve, &pipeline, &groups, picture, band)
-}
+    fn sort(&mut self, sorting: Sorting) -> Result<()> {
+        let sorting = match sorting {
+            Sorting::Depth => 0.0,
+            Sorting::Submission => 1.0,
+            Sorting::Rank => 2.0,
+        };
+        self.step(Stage::Resolve, "sort_lists", &[("sorting", sorting)])
+    }
 
-/// How many fragments each pixel and each row has, and where in its row each pixel's go.
-fn count_fragments(
-    connection: &Connection,
-    layouts: &mut Layouts,
-    recorder: &mut Recorder<'_>,
-    picture: &Picture,
-    [frame, lists]: [&BindGroup; 2],
-) -> Result<()> {
-    recorder.clear(&picture.counts);
-    let all = 0..picture.height;
-    draw_into_lists(connection, layouts, recorder, picture, "count_fragment", [frame, lists], &all)?;
-    let entry = Entry { module: &list_module(), point: "sum_rows" };
-    let pipeline = layouts.compute(&connection.device, entry, Reads::Lists, false, &[]);
-    recorder.compute(Stage::Raster, |pass| {
-        pass.set_pipeline(&pipeline);
-        pass.set_bind_group(0, frame, &[]);
-        pass.set_bind_group(2, lists, &[]);
-        pass.dispatch_workgroups(picture.height, 1, 1);
-    })
-}
+    /// Leaves as many fragments of each list as there may be.
+    fn drop_fragments(&mut self, capacity: Capacity) -> Result<()> {
+        let constants =
+            [("list_capacity", capacity.fragments.into()), ("drops_backwards", flag(capacity.backwards))];
+        self.step(Stage::Resolve, "drop_fragments", &constants)
+    }
 
-/// Fragments into lists. A pass wants a target, which nothing is drawn into.
-fn draw_into_lists(
-    connection: &Connection,
-    layouts: &mut Layouts,
-    recorder: &mut Recorder<'_>,
-    picture: &Picture,
-    point: &str,
-    [frame, lists]: [&BindGroup; 2],
-    rows: &Range<u32>,
-) -> Result<()> {
-    let format = TextureFormat::R8Unorm;
-    let unused = texture(
-        connection,
-        "none",
-        (picture.width, rows.end - rows.start),
-        format,
-        TextureUsages::RENDER_ATTACHMENT,
-    );
-    let unused = unused.create_view(&TextureViewDescriptor::default());
-    let draws = picture.draws(true);
-    let entry = Entry { module: &list_module(), point };
-    let states = [plain(format, ColorWrites::empty())];
-    let pipeline = layouts.render(&connection.device, entry, draws, Reads::Lists, &states);
-    let target = attachment(&unused, LoadOp::Clear(Color::TRANSPARENT), StoreOp::Discard);
-    recorder.render(Stage::Raster, &[target], |pass| {
-        pass.set_pipeline(&pipeline);
-        pass.set_bind_group(0, frame, &[]);
-        pass.set_bind_group(2, lists, &[]);
-        draw_primitives(pass, picture, rows, 0);
-    })
+    /// Something that is done to every list.
+    fn step(&mut self, stage: Stage, point: &str, constants: &[(&str, f64)]) -> Result<()> {
+        let pipeline = self.kernel(point, constants);
+        let groups = [self.frame, &self.lists.group];
+        dispatch(&mut self.recorder, stage, &pipeline, &groups, self.picture, self.rows)
+    }
+
+    fn kernel(&mut self, point: &str, constants: &[(&str, f64)]) -> Arc<ComputePipeline> {
+        let entry = Entry { module: &list_module(), point };
+        self.layouts.compute(&self.connection.device, entry, Reads::Lists, false, constants)
+    }
+
+    /// Fragments into lists. A pass wants a target, which nothing is drawn into.
+    fn raster(&mut self, point: &str) -> Result<()> {
+        let Self { connection, layouts, recorder, picture, frame, lists, rows } = self;
+        let format = TextureFormat::R8Unorm;
+        let size = (picture.width, rows.end - rows.start);
+        let unused = texture(connection, "none", size, format, TextureUsages::RENDER_ATTACHMENT);
+        let unused = unused.create_view(&TextureViewDescriptor::default());
+        let entry = Entry { module: &list_module(), point };
+        let states = [plain(format, ColorWrites::empty())];
+        let pipeline = layouts.render(&connection.device, entry, picture.draws(true), Reads::Lists, &states);
+        let target = attachment(&unused, LoadOp::Clear(Color::TRANSPARENT), StoreOp::Discard);
+        recorder.render(Stage::Raster, &[target], |pass| {
+            pass.set_pipeline(&pipeline);
+            pass.set_bind_group(0, *frame, &[]);
+            pass.set_bind_group(2, &lists.group, &[]);
+            draw_primitives(pass, picture, rows, 0);
+        })
+    }
 }

@@ -36,8 +36,10 @@ mod shared;
 mod tiles;
 
 #[cfg(feature = "gpu")]
+pub(crate) use draw::Stop;
+#[cfg(feature = "gpu")]
 pub use info::{Info, info};
 #[cfg(feature = "gpu")]
-pub(crate) use picture::{Given, Opaque, View, check_size};
+pub(crate) use picture::{Given, Opaque, Primitives, ToDraw, View, check_size};
 #[cfg(feature = "gpu")]
 pub(crate) use shared::{Key, Shared, with_gpu};

@@ -181,7 +181,7 @@ impl<'a> Peeler<'a> {
 
     /// More passes than any pixel has layers for, and no more than are asked for.
     fn most(&self) -> usize {
-        let deepest = usize::try_from(self.picture.totals().1).unwrap_or(usize::MAX);
+        let deepest = usize::try_from(self.picture.totals().deepest).unwrap_or(usize::MAX);
         let all = match self.peeling.ends {
             // the last one finds nothing
             Ends::Nearest => deepest.saturating_add(1),

@@ -6,7 +6,10 @@ use super::geometry::{Packed, Traits, Viewport};
 use super::layouts::Layouts;
 use super::tiles::Planned;
 use crate::error::{Error, Result};
-use crate::raster::{Drawn, Rect};
+use crate::params;
+use crate::raster::{Drawn, Rect, pixel_bounds_of};
+use std::ops::Range;
+use std::sync::OnceLock;
 use wgpu::{
     BindGroup, BindGroupDescriptor, BindGroupEntry, Buffer, BufferDescriptor, BufferUsages, Extent3d,
     Texture, TextureDescriptor, TextureDimension, TextureFormat, TextureUsages, TextureView,
@@ -32,6 +35,29 @@ pub struct View {
     pub opaque: Option<Opaque>,
 }
 
+/// Primitives as they come.
+pub type Primitives<'a> = Box<dyn Iterator<Item = Drawn<'a>> + 'a>;
+
+/// Primitives in the order in which they are drawn, which may be asked for several times.
+pub struct ToDraw<'a> {
+    pub view: View,
+    /// Near, far and the depth range.
+    pub range: params::View,
+    /// Whether that is neither the order of their ids nor the reverse.
+    pub ranked: bool,
+    pub primitives: &'a dyn Fn() -> Primitives<'a>,
+}
+
+/// What there is of a scene.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Totals {
+    pub fragments: u64,
+    /// Those of the deepest pixel.
+    pub deepest: u64,
+    /// Draw calls.
+    pub batches: usize,
+}
+
 /// Every fragment of an image, pixel by pixel as they were submitted.
 #[derive(Debug, Default)]
 pub struct Given {
@@ -48,6 +74,8 @@ pub struct Given {
 pub struct Picture {
     pub width: u32,
     pub height: u32,
+    /// The rows that its primitives are of.
+    pub part: Range<u32>,
     pub perspective: bool,
     pub background: [f32; 3],
     pub viewport: Viewport,
@@ -58,10 +86,9 @@ pub struct Picture {
     pub opaque_color: TextureView,
     /// Draw calls: buffers and the number of primitives in them.
     pub batches: Vec<(BindGroup, u32)>,
-    /// Fragments per pixel, a `u32` each.
-    pub counts: Buffer,
-    /// The places of primitives in the order in which they are drawn, by their ids, where that is not the order of ids.
-    pub ranks: Buffer,
+    /// The ids of primitives in the order in which they are drawn, where lists may be sorted by that.
+    order: Vec<u32>,
+    ranks: OnceLock<Buffer>,
     /// Fragments of each row, and of its deepest pixel; empty until they have been counted.
     pub rows: Vec<[u32; 2]>,
     /// Fragments that are there already, instead of primitives.
@@ -129,32 +156,42 @@ fn uploaded<T: bytemuck::Pod>(
     texture.create_view(&wgpu::TextureViewDescriptor::default())
 }
 
-/// The places of primitives in the order in which they come, by their ids.
-#[derive(Debug, Default)]
-struct Ranks {
-    places: Vec<u32>,
-    count: u32,
+#[expect(clippy::cast_possible_wrap, reason = "images are at most MAX_SIZE")]
+fn rect(width: u32, height: u32) -> Rect {
+    Rect { x0: 0, y0: 0, x1: width as i32, y1: height as i32 }
 }
 
-impl Ranks {
-    /// The next one.
-    fn add(&mut self, primitive: u32) {
-        let id = primitive as usize;
-        if self.places.len() <= id {
-            self.places.resize(id + 1, 0);
-        }
-        self.places[id] = self.count;
-        self.count += 1;
+impl View {
+    /// All of the image.
+    pub fn rect(&self) -> Rect {
+        rect(self.width, self.height)
     }
 }
 
+/// The rows of an image that a primitive may have pixels in, if any.
+pub fn rows_of(primitive: &Drawn<'_>, image: &Rect) -> Option<Range<u32>> {
+    let Rect { y0, y1, .. } = pixel_bounds_of(primitive.outline.points(), image);
+    (y0 < y1).then(|| y0.cast_unsigned()..y1.cast_unsigned())
+}
+
+/// Bytes of a primitive's rank.
+pub const RANK: u64 = 8;
+
+/// Ids in ascending order, each with the place that it has among `ids`.
+fn ranks_of(ids: &[u32]) -> Vec<[u32; 2]> {
+    let mut ranks: Vec<_> = ids.iter().zip(0..).map(|(id, place)| [*id, place]).collect();
+    ranks.sort_unstable();
+    // buffers have room for two at least, and searches look at all of it
+    ranks.resize(ranks.len().max(2), [u32::MAX; 2]);
+    ranks
+}
+
 impl Picture {
-    /// Takes a scene to the device, its primitives in the order in which they come. They have `ranks` if that is not the order
-    /// of their ids.
+    /// Takes a scene to the device, its primitives in the order in which they come, by which lists can be sorted if they are
+    /// `ranked`.
     ///
     /// # Errors
-    /// [`Error::Argument`] for an image beyond the device's limits, [`Error::Memory`] for more ranks than one of its buffers
-    /// holds.
+    /// [`Error::Argument`] for an image beyond the device's limits.
     pub fn new<'a>(
         connection: &Connection,
         layouts: &Layouts,
@@ -172,6 +209,7 @@ impl Picture {
         let mut picture = Self {
             width,
             height,
+            part: 0..height,
             perspective: view.perspective,
             background: view.background,
             viewport,
@@ -186,22 +224,42 @@ impl Picture {
                 &opaque.color,
             ),
             batches: Vec::new(),
-            counts: buffer(connection, "counts", 4 * pixels, BufferUsages::STORAGE | BufferUsages::COPY_SRC),
-            ranks: buffer(connection, "no ranks", 4, BufferUsages::STORAGE),
+            order: Vec::new(),
+            ranks: OnceLock::new(),
             rows: Vec::new(),
             given: None,
             plan: Planned::new(),
-            bytes: 4 * pixels + if view.opaque.is_some() { 20 * pixels } else { 0 },
+            bytes: if view.opaque.is_some() { 20 * pixels } else { 0 },
         };
-        let mut ranks = Ranks::default();
+        let mut order = Vec::new();
         let primitives = primitives.inspect(|drawn| {
             if ranked {
-                ranks.add(drawn.primitive);
+                order.push(drawn.primitive);
             }
         });
         picture.add_primitives(connection, layouts, primitives);
-        picture.add_ranks(connection, &ranks.places)?;
+        picture.bytes += RANK * order.len() as u64;
+        picture.order = order;
         Ok(picture)
+    }
+
+    /// The same of what is in some rows, as far as it is to be drawn in compute.
+    ///
+    /// # Errors
+    /// As [`Picture::new`].
+    pub fn of_rows(
+        connection: &Connection,
+        layouts: &Layouts,
+        drawn: &ToDraw<'_>,
+        part: Range<u32>,
+    ) -> Result<Self> {
+        let image = drawn.view.rect();
+        let touches = |primitive: &Drawn<'_>| {
+            rows_of(primitive, &image).is_some_and(|rows| rows.start < part.end && rows.end > part.start)
+        };
+        let primitives = (drawn.primitives)().filter(touches);
+        let picture = Self::new(connection, layouts, &drawn.view, primitives, false)?;
+        Ok(Self { part, ..picture })
     }
 
     /// The same of fragments that are there already.
@@ -215,34 +273,35 @@ impl Picture {
         given: Given,
     ) -> Result<Self> {
         let mut picture = Self::new(connection, layouts, view, std::iter::empty(), false)?;
-        connection.queue.write_buffer(&picture.counts, 0, bytes_of(&given.counts));
         let row = |counts: &[u32]| [counts.iter().sum(), counts.iter().copied().max().unwrap_or(0)];
         picture.rows = given.counts.chunks(view.width as usize).map(row).collect();
         picture.given = Some(given);
         Ok(picture)
     }
 
-    fn add_ranks(&mut self, connection: &Connection, ranks: &[u32]) -> Result<()> {
-        let (bytes, limits) = (4 * ranks.len() as u64, &connection.limits);
-        let most = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
-        if bytes > most {
+    /// The ids of what is drawn, in ascending order, each with its place in the order in which it is drawn.
+    ///
+    /// # Errors
+    /// [`Error::Memory`] for more than one of the device's buffers holds.
+    pub fn ranks(&self, connection: &Connection) -> Result<&Buffer> {
+        let (count, limits) = (self.order.len() as u64, &connection.limits);
+        let most = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size) / RANK;
+        if count > most {
             return Err(Error::Memory(format!(
-                "the order of {} primitives; {} keeps that of {}: submission_order=\"as_is\" and \"reversed\" need none",
-                ranks.len(),
-                connection.info.name,
-                most / 4
+                "the order of the {count} primitives in sight; {} keeps that of {most}: submission_order=\"as_is\" and \"reversed\" need \
+                 none",
+                connection.info.name
             )));
         }
-        if bytes > 0 {
-            self.ranks = buffer(connection, "ranks", bytes, BufferUsages::STORAGE);
-            connection.queue.write_buffer(&self.ranks, 0, bytes_of(ranks));
-            self.bytes += bytes;
-        }
-        Ok(())
+        Ok(self.ranks.get_or_init(|| {
+            let ranks = ranks_of(&self.order);
+            let ranked = buffer(connection, "ranks", RANK * ranks.len() as u64, BufferUsages::STORAGE);
+            connection.queue.write_buffer(&ranked, 0, bytes_of(&ranks));
+            ranked
+        }))
     }
 
     /// Primitives in as many draw calls as buffers of the device's largest size take.
-    #[expect(clippy::cast_possible_wrap, reason = "images are at most MAX_SIZE")]
     fn add_primitives<'a>(
         &mut self,
         connection: &Connection,
@@ -251,7 +310,7 @@ impl Picture {
     ) {
         let limits = &connection.limits;
         let most = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
-        let image = Rect { x0: 0, y0: 0, x1: self.width as i32, y1: self.height as i32 };
+        let image = rect(self.width, self.height);
         let mut packed = Packed::default();
         for primitive in primitives {
             if packed.bytes_with_one_more() > most {
@@ -311,10 +370,11 @@ impl Picture {
         [("has_opaque", flag(self.has_opaque))]
     }
 
-    /// Fragments, and those of the deepest pixel.
-    pub fn totals(&self) -> (u64, u64) {
-        let sum = self.rows.iter().map(|row| u64::from(row[0])).sum();
-        (sum, self.rows.iter().map(|row| u64::from(row[1])).max().unwrap_or(0))
+    /// What there is of it.
+    pub fn totals(&self) -> Totals {
+        let fragments = self.rows.iter().map(|row| u64::from(row[0])).sum();
+        let deepest = self.rows.iter().map(|row| u64::from(row[1])).max().unwrap_or(0);
+        Totals { fragments, deepest, batches: self.batches.len() }
     }
 }
 
@@ -334,14 +394,16 @@ pub fn check_size(connection: &Connection, width: u32, height: u32) -> Result<()
             return Err(Error::argument(name, problem));
         }
     }
-    let pixels = u64::from(width) * u64::from(height);
-    let most = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size) / 4;
-    if pixels > most {
-        let problem = format!(
-            "an image of {pixels} pixels; {} counts fragments of {most} at most: a smaller one fits",
-            connection.info.name
-        );
-        return Err(Error::argument("width", problem));
-    }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ranks_are_found_by_ids_whatever_these_are() {
+        assert_eq!(ranks_of(&[7, u32::MAX, 0]), [[0, 2], [7, 0], [u32::MAX, 1]]);
+        assert_eq!(ranks_of(&[5]), [[5, 0], [u32::MAX; 2]]);
+    }
 }

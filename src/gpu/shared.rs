@@ -1,10 +1,10 @@
 //! What outlives a call: the device, its pipelines, and the scenes that were drawn last.
 
 use super::device::Connection;
-use super::draw::{Gpu, Image, Kept as KeptTargets};
+use super::draw::{Gpu, Image, Kept as KeptTargets, Stop};
 use super::form::Form;
 use super::form::tiled::RasterPath;
-use super::picture::{Given, Picture, View};
+use super::picture::{Given, Picture, ToDraw, Totals, View};
 use crate::error::{Error, Result};
 use crate::order::SubmissionOrder;
 use crate::params;
@@ -80,6 +80,11 @@ pub fn with_gpu<T>(work: impl FnOnce(&mut Shared) -> Result<T>) -> Result<T> {
     result
 }
 
+/// The image, unless there is a pixel that a shader did not finish.
+fn finished(image: Image, connection: &Connection) -> Result<Image> {
+    if image.is_unfinished() { Err(connection.cut_short()) } else { Ok(image) }
+}
+
 impl Shared {
     /// The device.
     pub fn connection(&self) -> &Connection {
@@ -96,7 +101,8 @@ impl Shared {
         self.kept.iter().find(|kept| kept.key.scene == scene).map(|kept| kept.range)
     }
 
-    /// Takes a scene to the device and counts its fragments.
+    /// Takes a scene to the device and counts its fragments. Lists can be sorted by the order of its primitives if they are
+    /// `ranked`.
     ///
     /// # Errors
     /// [`crate::Error::Argument`] for what is beyond the device's limits, and the device's own.
@@ -106,11 +112,11 @@ impl Shared {
         range: params::View,
         view: &View,
         primitives: impl Iterator<Item = Drawn<'a>>,
+        ranked: bool,
         stop: &(dyn Fn() -> bool + Sync),
     ) -> Result<()> {
         let Gpu { connection, layouts, .. } = &mut self.gpu;
-        let mut picture =
-            Picture::new(connection, layouts, view, primitives, key.order != SubmissionOrder::AsIs)?;
+        let mut picture = Picture::new(connection, layouts, view, primitives, ranked)?;
         self.gpu.count(&mut picture, stop)?;
         self.keep(key, picture, range);
         Ok(())
@@ -135,26 +141,40 @@ impl Shared {
         }
     }
 
-    /// Draws a scene that is on the device; the image, and the scene's fragments and those of its deepest pixel.
+    /// What there is of a scene that is on the device.
+    pub fn totals(&self, key: Key) -> Option<Totals> {
+        self.kept.iter().find(|kept| kept.key == key).map(|kept| kept.picture.totals())
+    }
+
+    /// Draws a scene that is on the device.
     ///
     /// # Errors
     /// [`crate::Error::Argument`] for what the device cannot do, and the device's own.
-    pub fn draw(
-        &mut self,
-        key: Key,
-        form: &Form,
-        raster: RasterPath,
-        stop: &(dyn Fn() -> bool + Sync),
-    ) -> Result<Option<(Image, (u64, u64))>> {
-        let Some(place) = self.kept.iter().position(|kept| kept.key == key) else { return Ok(None) };
+    pub fn draw(&mut self, key: Key, form: &Form, raster: RasterPath, stop: Stop<'_>) -> Result<Image> {
+        let Some(place) = self.kept.iter().position(|kept| kept.key == key) else {
+            unreachable!("it was loaded")
+        };
         let kept = self.kept.remove(place);
         self.kept.push(kept);
-        let Some(Kept { picture, .. }) = self.kept.last() else { return Ok(None) };
-        let image = self.gpu.image(picture, form, raster, stop)?;
-        if image.is_unfinished() {
-            return Err(self.gpu.connection.cut_short());
+        let Some(Kept { picture, .. }) = self.kept.last() else { unreachable!("just pushed") };
+        finished(self.gpu.image(picture, form, raster, stop)?, &self.gpu.connection)
+    }
+
+    /// Draws in compute, some rows of the image after the other, what has more primitives than one buffer holds.
+    ///
+    /// # Errors
+    /// As [`Shared::draw`], and [`Error::Memory`] where a few rows have more of them.
+    pub fn draw_in_bands(&mut self, drawn: &ToDraw<'_>, form: &Form, stop: Stop<'_>) -> Result<Image> {
+        let mut image = Image::default();
+        for rows in self.gpu.bands_of_primitives(drawn)? {
+            if stop() {
+                return Err(Error::Cancelled);
+            }
+            let picture = Picture::of_rows(&self.gpu.connection, &self.gpu.layouts, drawn, rows)?;
+            let band = self.gpu.image(&picture, form, RasterPath::Compute, stop)?;
+            image.append(finished(band, &self.gpu.connection)?);
         }
-        Ok(Some((image, picture.totals())))
+        Ok(image)
     }
 
     /// Every fragment of a scene that is on the device.

@@ -8,7 +8,7 @@ use crate::fragments::{Background, Fragment, Fragments, Lists};
 use crate::frame::{Frame, Image, Sample, Stats, skipped};
 use crate::gpu::form::tiled::RasterPath;
 use crate::gpu::form::{Form, Path, Sorting};
-use crate::gpu::{Given, Key, Opaque, Shared, View, check_size, with_gpu};
+use crate::gpu::{Given, Key, Opaque, Primitives, Shared, Stop, ToDraw, View, check_size, with_gpu};
 use crate::order::Reorderer;
 use crate::order::{CentroidOrder, SubmissionOrder};
 use crate::params::{self, Params};
@@ -285,31 +285,48 @@ impl<'a> Job<'a> {
     }
 
     fn load(&mut self, key: Key) -> Result<params::View> {
+        if key.listed {
+            return self.load_lists(key);
+        }
+        self.drawn(key.order, |shared, drawn, stop| {
+            shared.load(key, drawn.range, &drawn.view, (drawn.primitives)(), drawn.ranked, stop)?;
+            Ok(drawn.range)
+        })
+    }
+
+    fn load_lists(&mut self, key: Key) -> Result<params::View> {
+        let Source::Fragments(fragments) = self.source else { unreachable!("those of a scene are drawn") };
+        let reordered = reordered(fragments, key.order);
+        self.shared.load_fragments(key, fragments.view, &view_of(fragments), given(&reordered))?;
+        Ok(fragments.view)
+    }
+
+    /// Does something with what is drawn in an order.
+    fn drawn<T>(
+        &mut self,
+        order: SubmissionOrder,
+        work: impl FnOnce(&mut Shared, &ToDraw<'_>, Stop<'_>) -> Result<T>,
+    ) -> Result<T> {
         match self.source {
-            Source::Scene(scene) => self.load_scene(scene, key),
+            Source::Scene(scene) => self.drawn_of_scene(scene, order, work),
             Source::Fragments(fragments) => {
-                self.load_fragments(fragments, key)?;
-                Ok(fragments.view)
+                let reordered = reordered(fragments, order);
+                let are_sorted = order == SubmissionOrder::Sorted;
+                let primitives =
+                    || -> Primitives<'_> { Box::new(points(&reordered, fragments.width, are_sorted)) };
+                let (view, range) = (view_of(fragments), fragments.view);
+                work(self.shared, &ToDraw { view, range, ranked: false, primitives: &primitives }, self.stop)
             }
         }
     }
 
-    fn load_fragments(&mut self, fragments: &Fragments, key: Key) -> Result<()> {
-        let view = view_of(fragments);
-        let centroids = (key.order == SubmissionOrder::Centroid).then(|| fragments.centroid_order());
-        let mut reordered = Lists::new();
-        let lists = fragments.lists.as_ref();
-        Reorderer::default().reorder(lists, key.order, centroids.as_ref(), &mut reordered);
-        if key.listed {
-            return self.shared.load_fragments(key, fragments.view, &view, given(&reordered));
-        }
-        let are_sorted = key.order == SubmissionOrder::Sorted;
-        let points = points(&reordered, fragments.width, are_sorted);
-        self.shared.load(key, fragments.view, &view, points, self.stop)
-    }
-
-    fn load_scene(&mut self, scene: &Scene, key: Key) -> Result<params::View> {
-        let (order, stop) = (key.order, self.stop);
+    fn drawn_of_scene<T>(
+        &mut self,
+        scene: &Scene,
+        order: SubmissionOrder,
+        work: impl FnOnce(&mut Shared, &ToDraw<'_>, Stop<'_>) -> Result<T>,
+    ) -> Result<T> {
+        let stop = self.stop;
         // the whole image is one tile, so that every primitive comes once
         let raster = Raster::new(scene, scene.width().max(scene.height()), stop);
         let opaque = has_opaque(scene).then(|| opaque_surfaces(scene, stop));
@@ -325,17 +342,17 @@ impl<'a> Job<'a> {
             background: scene.background(),
             opaque,
         };
-        let range = raster.view();
+        let (range, ranked) =
+            (raster.view(), !matches!(order, SubmissionOrder::AsIs | SubmissionOrder::Reversed));
         if order == SubmissionOrder::AsIs {
-            self.shared.load(key, range, &view, raster.drawn(), stop)?;
-        } else {
-            let drawn: Vec<_> = raster.drawn().collect();
-            let ids: Vec<_> = drawn.iter().map(|primitive| primitive.primitive).collect();
-            let places = order.of_primitives(&ids, centroids.as_ref());
-            let arranged = places.into_iter().map(|place| drawn[place as usize]);
-            self.shared.load(key, range, &view, arranged, stop)?;
+            let primitives = || -> Primitives<'_> { Box::new(raster.drawn()) };
+            return work(self.shared, &ToDraw { view, range, ranked, primitives: &primitives }, stop);
         }
-        Ok(range)
+        let drawn: Vec<_> = raster.drawn().collect();
+        let ids: Vec<_> = drawn.iter().map(|primitive| primitive.primitive).collect();
+        let places = order.of_primitives(&ids, centroids.as_ref());
+        let primitives = || -> Primitives<'_> { Box::new(places.iter().map(|place| drawn[*place as usize])) };
+        work(self.shared, &ToDraw { view, range, ranked, primitives: &primitives }, stop)
     }
 
     fn answer(&mut self, bound: &Bound, raster: RasterPath) -> Result<Answer> {
@@ -344,8 +361,12 @@ impl<'a> Job<'a> {
         if !self.shared.has(key) {
             self.load(key)?;
         }
-        let drawn = self.shared.draw(key, &bound.form, raster, self.stop)?;
-        let Some((image, (fragments, deepest))) = drawn else { unreachable!("it was loaded") };
+        let Some(totals) = self.shared.totals(key) else { unreachable!("it was loaded") };
+        let image = if raster == RasterPath::Compute && totals.batches > 1 {
+            self.drawn(bound.order, |shared, drawn, stop| shared.draw_in_bands(drawn, &bound.form, stop))?
+        } else {
+            self.shared.draw(key, &bound.form, raster, self.stop)?
+        };
         let colored = bound.form.colored_transmittance;
         let (color, transmittance) = split(&image.texels, colored);
         Ok(Answer {
@@ -354,8 +375,8 @@ impl<'a> Job<'a> {
             channels: if colored { 3 } else { 1 },
             raster_ms: image.times.raster,
             resolve_ms: image.times.resolve,
-            fragments,
-            deepest,
+            fragments: totals.fragments,
+            deepest: totals.deepest,
             invalid_weights: image.invalid_weights,
             dropped: image.dropped,
         })
@@ -411,6 +432,14 @@ fn view_of(fragments: &Fragments) -> View {
         }
     };
     View { width: fragments.width, height: fragments.height, perspective: false, background, opaque }
+}
+
+/// Fragments in an order.
+fn reordered(fragments: &Fragments, order: SubmissionOrder) -> Lists {
+    let centroids = (order == SubmissionOrder::Centroid).then(|| fragments.centroid_order());
+    let mut reordered = Lists::new();
+    Reorderer::default().reorder(fragments.lists.as_ref(), order, centroids.as_ref(), &mut reordered);
+    reordered
 }
 
 fn given(lists: &Lists) -> Given {
