@@ -321,7 +321,51 @@ impl<'r> Sink<'r> for TileLists<'r> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::{Order, Raster, Tile};
     use super::*;
+    use crate::scene::{Camera, Colors, Material, Mesh, Projection, Scene};
+    use glam::DVec3;
+    use std::sync::Arc;
+
+    /// Triangles of all sizes, seen straight on.
+    fn scene() -> Scene {
+        let random = |i: u32| f64::from(crate::random::hash32(i, 5, 0, 0, 0)) / f64::from(u32::MAX) - 0.5;
+        let point = |i: u32| {
+            let size = if (i / 3).is_multiple_of(3) { 0.4 } else { 5.0 };
+            let (x, y) = (3.0 * random(i / 3), 3.0 * random(i / 3 + 1000));
+            [x + size * random(3 * i), y + size * random(3 * i + 1), random(3 * i + 2)]
+        };
+        let faces = (0..40).map(|i| [3 * i, 3 * i + 1, 3 * i + 2]).collect();
+        let colors = Colors::Face((0..40_u16).map(|i| [f32::from(i) / 40.0, 0.5, 0.2, 0.5]).collect());
+        let mesh = Mesh::new((0..120).map(point).collect(), faces, colors, Material::default()).unwrap();
+        let projection = Projection::Perspective { fov_y: 50.0 };
+        let camera = Camera::new(DVec3::new(0.0, 0.0, 5.0), DVec3::ZERO, DVec3::Y, projection, 0.5, 9.0);
+        Scene::new(vec![Arc::new(mesh)], camera.unwrap(), 45, 37, [0.0; 3]).unwrap()
+    }
+
+    #[test]
+    fn whole_rows_and_single_fragments_come_to_the_same_lists() {
+        let scene = scene();
+        let raster = Raster::new(&scene, 64, &|| false);
+        let (rect, stop) = (raster.rect(0, 0), || false);
+        let (mut tile, mut lists) = (Tile::default(), TileLists::default());
+        lists.begin(rect, 40, usize::MAX);
+        tile.begin(&raster, (0, 0), rect, true, &stop);
+        tile.transparent(&raster, (0, 0), Order::Submission, &mut lists, &stop);
+        let sorted = |lists: &mut TileLists<'_>| {
+            let mut out = Lists::new();
+            lists.sort(0, rect.area());
+            lists.shade(0, rect.area(), &mut out);
+            out
+        };
+        lists.distribute_pixels();
+        let pixels = sorted(&mut lists);
+        lists.distribute_groups();
+        let groups = sorted(&mut lists);
+        assert!(pixels.len() > 5000 && lists.arrived.iter().any(|arrived| !arrived.pixels.is_empty()));
+        assert_eq!((pixels.offsets, pixels.primitive), (groups.offsets, groups.primitive));
+        assert_eq!((pixels.depth, pixels.color), (groups.depth, groups.color));
+    }
 
     #[test]
     fn what_is_nearly_done_may_hold_twice_the_budget() {
