@@ -231,7 +231,9 @@ mod tests {
             (1e-44, 1e-45, 0.0),
             (0.0, 0.0, 0.0),
         ];
-        for ((at, x, y), reach) in functions.into_iter().flat_map(|f| [0, 3, 1919, 16_383].map(|n| (f, n))) {
+        for ((at, x, y), reach) in
+            functions.into_iter().flat_map(|f| [0_i32, 3, 1919, 16_383].map(|n| (f, n)))
+        {
             let parts = in_parts(&Linear { at, x, y }, [reach.into(), reach.into()]);
             for (dx, dy) in [(reach, -reach), (-reach, -reach), (reach / 2, reach), (1, 0)] {
                 if dx.abs().max(dy.abs()) > reach {
