@@ -301,7 +301,8 @@ def panes(count):
     return oitlab.Scene([mesh], camera=oitlab.Camera(eye=(0, 0, 5)), width=40, height=100)
 # 5 x 8 tiles in the first row of bins, 5 x 5 in the second: 4096 entries fit, those of both rows do not
 np.testing.assert_allclose(*both(panes(70)), rtol=0, atol=1e-5)
-in_a_row, in_rows = "primitives in the tiles of a row", "the 400 primitives that reach into the 64 rows from 0 on"
+in_a_row = "primitives in the tiles of a row"
+in_rows = "the 400 primitives that reach into the 64 rows from 0 on"
 for count, words in ((120, in_a_row), (400, in_rows)):
     try:
         both(panes(count))
@@ -314,7 +315,8 @@ rng = np.random.default_rng(8)
 centers = rng.uniform((-0.4, -2, -1), (0.4, 2, 1), (330, 1, 3))
 corners = centers + rng.uniform(-0.2, 0.2, (330, 3, 3))
 small = oitlab.Mesh(corners.reshape(-1, 3), np.arange(990).reshape(-1, 3), face_colors=rng.random((330, 4)))
-few = oitlab.Mesh(np.reshape([(-9, -9, 0), (9, -9, 0), (0, -8, 0)], (-1, 3)), [(0, 1, 2)], color=(0, 0, 1, 1), alpha_mode="opaque")
+flat = [(-9, -9, 0), (9, -9, 0), (0, -8, 0)]
+few = oitlab.Mesh(flat, [(0, 1, 2)], color=(0, 0, 1, 1), alpha_mode="opaque")
 scene = oitlab.Scene([small, few], camera=oitlab.Camera(eye=(0, 0, 5)), width=40, height=210)
 assert len(np.unique(oitlab.capture(scene).primitive)) > 146
 for technique, params in (
@@ -330,8 +332,9 @@ for technique, params in (
 ):
     expected = oitlab.render(scene, technique, params)
     got = oitlab.gpu.render(scene, technique, params, path="compute")
-    np.testing.assert_allclose(got.color, expected.color, rtol=0, atol=1e-4, err_msg=technique)
-    np.testing.assert_allclose(got.transmittance, expected.transmittance, rtol=0, atol=1e-4, err_msg=technique)
+    for image in ("color", "transmittance"):
+        pair = [getattr(frame, image) for frame in (got, expected)]
+        np.testing.assert_allclose(*pair, rtol=0, atol=1e-4, err_msg=technique)
     for name in ("fragments", "depth_complexity_max", "dropped", "invalid_weights"):
         assert getattr(got.stats, name) == getattr(expected.stats, name), (technique, name)
 """
