@@ -16,8 +16,8 @@ test: test-rust test-python
 test-rust:
 	cargo test --quiet
 
-# The GPU's tests file by file: a driver for the processor keeps some of what it compiles for every frame until its process
-# ends, gigabytes over all of them (docs/gpu.md). Status 5 is that of a file whose tests are all skipped.
+# The GPU's tests file by file: with a driver for the processor memory grows with frames and pipelines, gigabytes over all of them
+# (docs/gpu.md). Status 5 is that of a file whose tests are all skipped.
 GPU_TESTS := $(wildcard tests/test_gpu*.py) tests/test_promises.py
 
 test-python: develop
