@@ -35,16 +35,29 @@ def share_of_others(before: tuple[float, float], seconds: float) -> float:
     return max(0.0, machine - mine) / (seconds * (os.cpu_count() or 1))
 
 
+WARM_UP = 0.25
+LEAST = 1.0
+"""Seconds of frames that are not timed, after the first, and of timed ones where frames are short: the first
+tens of milliseconds of a process tell more about the machine than about the renderer."""
+
+
 def measure(
     adapter: Any, arrays: Arrays, mode: str, repeats: int, budget: float
 ) -> tuple[dict[str, Any], Any]:
-    """Set up, render once to warm up, then render `repeats` times or until `budget` seconds are spent."""
+    """Set up and warm up, then render `repeats` times and for `LEAST` seconds, no longer than `budget` seconds.
+
+    A single repetition is a test and not a measurement: it takes no longer than it must.
+    """
     before, start = busy_seconds(), time.perf_counter()
     frame: Callable[[], Any] = adapter.setup(arrays, mode)
     image = frame()
     first = time.perf_counter() - start
+    warm_up, least = (WARM_UP, LEAST) if repeats > 1 else (0.0, 0.0)
+    warm = time.perf_counter() + warm_up
+    while time.perf_counter() < warm:
+        image = frame()
     times: list[float] = []
-    while len(times) < repeats and (not times or sum(times) < budget):
+    while (len(times) < repeats or sum(times) < least) and (not times or sum(times) < budget):
         begin = time.perf_counter()
         image = frame()
         times.append(time.perf_counter() - begin)
