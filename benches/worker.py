@@ -44,7 +44,7 @@ tens of milliseconds of a process tell more about the machine than about the ren
 def measure(
     adapter: Any, arrays: Arrays, mode: str, repeats: int, budget: float
 ) -> tuple[dict[str, Any], Any]:
-    """Set up and warm up, then render `repeats` times and for `LEAST` seconds, no longer than `budget` seconds.
+    """Set up and warm up, then render `repeats` times and for `LEAST` seconds, within `budget` seconds.
 
     A single repetition is a test and not a measurement: it takes no longer than it must.
     """
