@@ -109,6 +109,7 @@ impl Block {
 }
 
 #[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
+#[expect(clippy::needless_bitwise_bool, reason = "without branches")]
 fn look(count: usize, corners: &Corners, tiling: &Tiling, double_sided: bool, looked: &mut Looked) {
     let Corners { x, y, z } = corners;
     let Looked { tiles, seen, outside, faces_camera, nearest, farthest } = looked;
@@ -164,7 +165,6 @@ fn touch(
 /// The column or row of tiles that a pixel of the image is in. Half a pixel off, no rounding matters: positions are
 /// below 2^17, and errors 2^-24 of them.
 #[inline(always)]
-#[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
 #[expect(
     clippy::cast_precision_loss,
     clippy::cast_possible_wrap,

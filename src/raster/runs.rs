@@ -20,12 +20,12 @@ pub struct Run {
 
 impl Run {
     /// The pixels' indices in the tile.
-    pub fn pixels(&self) -> std::ops::Range<usize> {
+    pub fn pixels(self) -> std::ops::Range<usize> {
         self.first as usize..(self.first + self.len) as usize
     }
 
     /// The groups of [`LANES`] pixels of the tile that it touches.
-    pub fn groups(&self) -> std::ops::Range<usize> {
+    pub fn groups(self) -> std::ops::Range<usize> {
         self.first as usize / LANES..((self.first + self.len) as usize).div_ceil(LANES)
     }
 }

@@ -72,6 +72,7 @@ impl Over {
     /// One more fragment behind those of each pixel.
     #[inline(always)]
     #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+    #[expect(clippy::needless_range_loop, reason = "three arrays are walked together")]
     fn put_behind(&mut self, colors: &[Premultiplied; LANES]) {
         for lane in 0..LANES {
             let (color, transmittance) = (colors[lane], self.transmittance[lane]);
