@@ -4,6 +4,7 @@ import os
 import re
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -209,6 +210,47 @@ def test_an_image_of_one_pixel_and_one_of_many() -> None:
             expected = oitlab.render(sized, technique)
             np.testing.assert_allclose(got.color, expected.color, rtol=0, atol=tolerance(sized, expected))
             assert got.stats.fragments == expected.stats.fragments
+
+
+LEFT_BEHIND: list[tuple[str, dict[str, Any]]] = [
+    ("wboit", {}),
+    ("wboit", {"layout": "listing4"}),  # other formats
+    ("wboit", {"format": "f16"}),
+    ("blended_oit", {}),  # formats of the first, of another module
+    ("alpha_compositing", {}),  # over the background
+    ("phenomenological", {"transmission": (0.9, 0.5, 0.0)}),  # two images
+    ("opacity_shadow_maps", {}),  # layers
+    ("opacity_shadow_maps", {"bins": 4}),
+    ("occupancy_maps", {}),  # words
+    ("lwboit", {"storage": "lr"}),  # attachments in parts
+    ("depth_peeling", {}),  # an image without targets that are kept
+]
+
+
+def test_targets_of_an_earlier_call_leave_nothing_behind() -> None:
+    """Targets and images are kept between calls: full ones, then empty ones of the same kind, and of others."""
+    full = SCENES["smoke"]
+    empty = full.replace(camera=oitlab.Camera(eye=(0, 0, 90), target=(0, 0, 99), near=0.5, far=12.0))
+    fewer_rows = empty.replace(height=full.height // 2)
+    background = oitlab.render(empty, "a_buffer").color
+    assert oitlab.capture(full).offsets[-1] > 0 and oitlab.capture(empty).offsets[-1] == 0
+    for technique, params in LEFT_BEHIND:
+        first = oitlab.render(full, technique, params, backend="gpu")
+        for scene in (empty, fewer_rows):
+            got = oitlab.render(scene, technique, params, backend="gpu")
+            np.testing.assert_allclose(got.color, background[: scene.height], rtol=0, atol=F32)
+            np.testing.assert_array_equal(got.transmittance, 1.0)
+        again = oitlab.render(full, technique, params, backend="gpu")
+        np.testing.assert_array_equal(again.color, first.color)
+    # after one that failed, and from several threads at once
+    with pytest.raises(ValueError, match="no_such"):
+        oitlab.render(full, "wboit", {"weight": "no_such(z)"}, backend="gpu")
+    wanted = [(scene, *asked) for scene in (full, empty) for asked in LEFT_BEHIND[:6]]
+    expected = [oitlab.render(*one, backend="gpu").color for one in wanted]
+    with ThreadPoolExecutor(4) as pool:
+        got = list(pool.map(lambda one: oitlab.render(*one, backend="gpu").color, wanted * 2))
+    for color, other in zip(got, expected * 2, strict=True):
+        np.testing.assert_array_equal(color, other)
 
 
 SMALL_BUFFERS = """

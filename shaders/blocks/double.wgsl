@@ -12,15 +12,15 @@ fn two_sum(a: f32, b: f32) -> vec2f {
     return vec2f(sum, unseen(a - unseen(sum - part)) + unseen(b - part));
 }
 
-// The first half of a number's digits: products of halves are exact.
-fn upper_half(x: f32) -> f32 {
-    return bitcast<f32>(bitcast<u32>(x) & 0xfffff000u);
-}
-
 // The same where b is small beside a, or has digits that nobody will miss.
 fn quick_two_sum(a: f32, b: f32) -> vec2f {
     let sum = unseen(a + b);
     return vec2f(sum, b - unseen(sum - a));
+}
+
+// The first half of a number's digits: products of halves are exact.
+fn upper_half(x: f32) -> f32 {
+    return bitcast<f32>(bitcast<u32>(x) & 0xfffff000u);
 }
 
 // at + x d.x + y d.y for whole d. Numbers come in three parts, of which the first two are whole multiples of a step: one for

@@ -259,11 +259,11 @@ impl Band<'_> {
         })
     }
 
-    /// Stores the fragments. They are counted once more than their number is asked for, so that the time is that of a frame.
-    fn draw(&mut self, numbers_ids: bool) -> Result<()> {
+    /// Stores the fragments, with the places of ranks for ids if lists are ranked. They are counted once more than their number is asked for, so that the time is that of a frame.
+    fn draw(&mut self, is_ranked: bool) -> Result<()> {
         self.count()?;
         self.step(Stage::Raster, "shift_rows", &[])?;
-        self.raster(if numbers_ids { "store_ranked_fragment" } else { "store_fragment" })
+        self.raster(if is_ranked { "store_ranked_fragment" } else { "store_fragment" })
     }
 
     fn sort(&mut self, sorting: Sorting) -> Result<()> {

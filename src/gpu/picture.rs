@@ -43,7 +43,7 @@ pub struct ToDraw<'a> {
     pub view: View,
     /// Near, far and the depth range.
     pub range: params::View,
-    /// Whether that is neither the order of their ids nor the reverse.
+    /// Whether lists of them may be sorted by that order: of a scene, where it is neither that of the ids nor the reverse.
     pub ranked: bool,
     pub primitives: &'a dyn Fn() -> Primitives<'a>,
 }
