@@ -228,12 +228,13 @@ LEFT_BEHIND: list[tuple[str, dict[str, Any]]] = [
 
 
 def test_targets_of_an_earlier_call_leave_nothing_behind() -> None:
-    """Targets and images are kept between calls: full ones, then empty ones of the same kind, and of others."""
+    """Targets and images are kept between calls: full ones, then empty ones of the same kind."""
     full = SCENES["smoke"]
     empty = full.replace(camera=oitlab.Camera(eye=(0, 0, 90), target=(0, 0, 99), near=0.5, far=12.0))
     fewer_rows = empty.replace(height=full.height // 2)
     background = oitlab.render(empty, "a_buffer").color
-    assert oitlab.capture(full).offsets[-1] > 0 and oitlab.capture(empty).offsets[-1] == 0
+    assert oitlab.capture(full).offsets[-1] > 0
+    assert oitlab.capture(empty).offsets[-1] == 0
     for technique, params in LEFT_BEHIND:
         first = oitlab.render(full, technique, params, backend="gpu")
         for scene in (empty, fewer_rows):
@@ -248,8 +249,8 @@ def test_targets_of_an_earlier_call_leave_nothing_behind() -> None:
     wanted = [(scene, *asked) for scene in (full, empty) for asked in LEFT_BEHIND[:6]]
     expected = [oitlab.render(*one, backend="gpu").color for one in wanted]
     with ThreadPoolExecutor(4) as pool:
-        got = list(pool.map(lambda one: oitlab.render(*one, backend="gpu").color, wanted * 2))
-    for color, other in zip(got, expected * 2, strict=True):
+        colors = list(pool.map(lambda one: oitlab.render(*one, backend="gpu").color, wanted * 2))
+    for color, other in zip(colors, expected * 2, strict=True):
         np.testing.assert_array_equal(color, other)
 
 
