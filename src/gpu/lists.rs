@@ -259,7 +259,8 @@ impl Band<'_> {
         })
     }
 
-    /// Stores the fragments, with the places of ranks for ids if lists are ranked. They are counted once more than their number is asked for, so that the time is that of a frame.
+    /// Stores the fragments, with the places of ranks for ids if lists are ranked. They are counted once more than their number
+    /// is asked for, so that the time is that of a frame.
     fn draw(&mut self, is_ranked: bool) -> Result<()> {
         self.count()?;
         self.step(Stage::Raster, "shift_rows", &[])?;
