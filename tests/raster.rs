@@ -203,6 +203,24 @@ fn masks_cut_holes_and_opacity_makes_them_blend() {
     assert_eq!(blended.stats.fragments, 8 * 16);
 }
 
+/// Of few pixels and of many, of long rows and of short ones, whole and clipped.
+#[test]
+fn what_is_hidden_stays_hidden_where_a_mask_cuts_holes() {
+    let opaque = Material { alpha_mode: AlphaMode::Opaque, ..Material::default() };
+    let wall = rectangle([-32.0, 0.0], [-32.0, 32.0], 0.0, [0.5, 0.25, 0.125, 1.0], opaque);
+    let mask = Material { alpha_mode: AlphaMode::Mask, opacity: Some(0.5), ..Material::default() };
+    for (width, height) in [(2.0, 2.0), (12.0, 12.0), (24.0, 2.0), (24.0, 24.0), (1e6, 1.0), (1e6, 40.0)] {
+        let sheet = |x: [f64; 2]| rectangle(x, [-1.0, height - 1.0], -1.0, [1.0; 4], mask);
+        let drawn = |x| {
+            let scene = scene(vec![wall.clone(), sheet(x)], pixel_camera(64), 64, 64);
+            frame(Source::Scene(&scene), "a_buffer", &[])
+        };
+        assert_eq!(drawn([-4.0 - width, -4.0]).stats.fragments, 0, "{width} x {height}");
+        let shown = drawn([4.0, 4.0 + width]).stats.fragments;
+        assert_eq!(shown as f64, width.min(28.0) * height.min(33.0), "{width} x {height}");
+    }
+}
+
 #[test]
 fn back_faces_go_where_the_material_says_so() {
     let one_sided = Material { double_sided: false, ..Material::default() };

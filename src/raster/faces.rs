@@ -232,7 +232,10 @@ mod tests {
                         let is_outside = v.iter().any(ScreenVertex::is_outside);
                         let expected = (!is_outside).then(|| tiling.touched(points.into_iter())).flatten();
                         match (found, expected) {
-                            (Found::Outside, _) => clipped += usize::from(is_outside),
+                            (Found::Outside, _) => {
+                                assert!(is_outside, "{v:?}");
+                                clipped += 1;
+                            }
                             (Found::Triangle { tiles, faces_camera }, Some(expected)) => {
                                 assert!(is_seen(doubled_area(&points)) && !is_outside);
                                 assert_eq!(tiles, expected, "{v:?}");

@@ -1,7 +1,7 @@
 //! A tile's fragments as per-pixel lists: kept as (depth, primitive) and shaded only when they are asked for.
 //!
-//! Eight pixels share a group of rows, a column each, as many rows as the deepest of them has fragments, so that
-//! eight lists are sorted at once. What is missing is [`NOTHING`], which sorts behind everything.
+//! Eight pixels share a group of rows, a column each, at least as many rows as the deepest of them has fragments, so
+//! that eight lists are sorted at once. What is missing is [`NOTHING`], which sorts behind everything.
 
 use super::arrivals::Arrivals;
 use super::cover::Rect;
@@ -83,7 +83,8 @@ impl TileLists<'_> {
         &self.counts
     }
 
-    /// Distributes what arrived over the pixels: each pixel's in arrival order, or in any if they are to be sorted.
+    /// Distributes what arrived over the pixels, each pixel's in arrival order. In any order there may be gaps between
+    /// them: no list may be looked at before it has been sorted.
     pub fn distribute(&mut self, any_order: bool) {
         if any_order && self.arrived.fragments() >= LONG * self.arrived.runs() {
             self.distribute_groups();

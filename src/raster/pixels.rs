@@ -7,7 +7,7 @@ use super::runs::{Run, ends_of_rows};
 
 /// Pixels of one primitive up to which they are listed one by one; runs pay off from here on.
 pub const FEW: usize = 64;
-/// Triangles of no more columns and rows are listed, however many pixels they have.
+/// Triangles of no more columns and rows, whose corners are near, are listed, however many pixels they have.
 const SMALL: i32 = 16;
 /// Triangles of no more columns and rows are looked at pixel by pixel. No corner is farther away from a pixel of theirs
 /// than twice as many pixels, so that edge functions fit 32 bits.

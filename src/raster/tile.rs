@@ -1,5 +1,5 @@
 //! One tile: the opaque surfaces first, then the transparent ones in the order that is asked for, handed over as
-//! runs of pixels.
+//! runs of pixels, small ones as lists of pixels.
 
 use super::Raster;
 use super::cover::{Rect, spans};
@@ -32,13 +32,6 @@ pub struct Cover<'a, 'r> {
     pub surface: &'a Surface<'r>,
     /// Colours, for what is shaded later.
     pub paint: &'a Paint,
-}
-
-impl Cover<'_, '_> {
-    /// Whether the pixels are listed one by one.
-    pub fn is_small(&self) -> bool {
-        matches!(self.at, Where::Few(_))
-    }
 }
 
 /// What becomes of a tile's transparent fragments.
@@ -270,6 +263,8 @@ impl Tile {
         };
         if pixels <= FEW {
             few.list(runs);
+            // or they would be there again once none of those few is left
+            runs.clear();
         }
         pixels
     }

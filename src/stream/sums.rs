@@ -409,7 +409,7 @@ impl Same {
     fn times(&mut self, number: f32, len: usize) -> &[f32] {
         let Self(numbers) = self;
         if numbers.len() < len || numbers[0].to_bits() != number.to_bits() {
-            let len = len.max(numbers.len());
+            // no longer than it has to be, however long it was: small primitives follow large ones
             refill(numbers, len, number);
         }
         &numbers[..len]
