@@ -363,7 +363,7 @@ mod tests {
         let pixels = sorted(&mut lists);
         lists.distribute_groups();
         let groups = sorted(&mut lists);
-        assert!(pixels.len() > 5000 && lists.arrived.iter().any(|arrived| !arrived.pixels.is_empty()));
+        assert!(pixels.len() > 2000 && lists.arrived.iter().any(|arrived| !arrived.pixels.is_empty()));
         assert_eq!((pixels.offsets, pixels.primitive), (groups.offsets, groups.primitive));
         assert_eq!((pixels.depth, pixels.color), (groups.depth, groups.color));
     }
