@@ -250,7 +250,7 @@ def draw(results: dict[str, Any], run: Run) -> None:
 
     mpl.use("Agg")
     import matplotlib.pyplot as plt
-    from pareto import draw_front
+    from pareto import draw_front, name_front
 
     plot_style()
     figure, panels = plt.subplots(2, 3, figsize=(11, 7))
@@ -258,7 +258,11 @@ def draw(results: dict[str, Any], run: Run) -> None:
         draw_front(axes, name, row)
         axes.set_xlabel("milliseconds on the device")
     panels.flat[-1].axis("off")
-    panels.flat[-1].text(0, 0.7, "Every technique with a GPU form, default params.\nBlue: the Pareto front.\n"
+    panels.flat[-1].text(0, 0.7, "Every technique with a GPU form, default params.\n"
+                         "Blue: the Pareto front, named where\nthere is room.\n"
                          "Errors below 1e-7 are drawn at 1e-7.", fontsize=9)  # fmt: skip
+    figure.draw_without_rendering()
+    for axes, row in zip(panels.flat, results.values(), strict=False):
+        name_front(axes, row)
     run.save_figure(figure, "gpu")
     plt.close(figure)

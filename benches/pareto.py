@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 from harness import SCENES, Run, markdown_table, plot_style, scene, three_digits, timed
 
 import oitlab
@@ -12,10 +13,15 @@ SLOW = 20
 """Times the cost of wboit per fragment beyond which a technique owes a reason."""
 
 
+NOISE = 1e-7
+"""Errors of rounding alone: below this none is better than another."""
+
+
 def front(points: dict[str, tuple[float, float]]) -> list[str]:
     """Names of the points (time, error) that none other beats in one and equals or beats in the other."""
     best, found = float("inf"), []
-    for name, (_, error) in sorted(points.items(), key=lambda item: item[1]):
+    seen = {name: (time, max(error, NOISE)) for name, (time, error) in points.items()}
+    for name, (_, error) in sorted(seen.items(), key=lambda item: item[1]):
         if error < best:
             best = error
             found.append(name)
@@ -80,17 +86,14 @@ def _cost(found: dict[str, float]) -> str:
 
 
 def draw_front(axes: Any, name: str, row: dict[str, Any]) -> None:
-    """All techniques on one scene, the front joined and named, floating-point noise drawn at 1e-7."""
+    """All techniques on one scene, the front joined; `name_front` names it."""
     from matplotlib.ticker import LogLocator, NullFormatter
 
     found = row["techniques"]
-    spots = {n: (found[n]["median_ms"], max(found[n]["rmse"], 1e-7)) for n in found}
+    spots = {n: (found[n]["median_ms"], max(found[n]["rmse"], NOISE)) for n in found}
     axes.scatter(*zip(*spots.values(), strict=True), s=12, color="#777777")
     line = [spots[n] for n in row["pareto_front"]]
     axes.step(*zip(*line, strict=True), where="post", color="#0072B2", marker="o", markersize=4)
-    for i, n in enumerate(row["pareto_front"]):
-        below = (4, -10 if i % 2 else 4)  # the next one on the front may be close by
-        axes.annotate(n, spots[n], xytext=below, textcoords="offset points", fontsize=7, color="#0072B2")
     axes.set(xscale="log", yscale="log", title=f"{name}, {row['fragments'] / 1e6:.3g} M fragments")
     axes.set(xlabel="milliseconds", ylabel="RMSE")
     axes.margins(0.15)
@@ -99,6 +102,20 @@ def draw_front(axes: Any, name: str, row: dict[str, Any]) -> None:
     axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if few else (1.0,)))
     axes.xaxis.set_major_formatter(lambda x, _: f"{x:g}")
     axes.xaxis.set_minor_formatter(NullFormatter())
+
+
+def name_front(axes: Any, row: dict[str, Any]) -> None:
+    """Write the names of the front where they cover nothing, once all panels have their places."""
+    from oitlab.plot._labels import place_labels
+
+    found = row["techniques"]
+    spots = axes.transData.transform([(t["median_ms"], max(t["rmse"], NOISE)) for t in found.values()])
+    radius = 3.0 * axes.get_figure().dpi / 72.0
+    places = dict(zip(found, spots, strict=True))
+    front = row["pareto_front"]
+    points = [(float(places[name][0]), float(places[name][1])) for name in front]
+    obstacles = np.hstack([spots - radius, spots + radius])
+    place_labels(axes, points, front, (obstacles, np.empty((0, 4))), ["#0072B2"] * len(front))
 
 
 def draw(results: dict[str, Any], run: Run) -> None:
@@ -113,7 +130,11 @@ def draw(results: dict[str, Any], run: Run) -> None:
     for axes, (name, row) in zip(panels.flat, results.items(), strict=False):
         draw_front(axes, name, row)
     panels.flat[-1].axis("off")
-    panels.flat[-1].text(0, 0.7, "Every technique, default params.\nBlue: the Pareto front.\n"
+    panels.flat[-1].text(0, 0.7, "Every technique, default params.\n"
+                         "Blue: the Pareto front, named where\nthere is room.\n"
                          "Errors below 1e-7 are drawn at 1e-7.", fontsize=9)  # fmt: skip
+    figure.draw_without_rendering()
+    for axes, row in zip(panels.flat, results.values(), strict=False):
+        name_front(axes, row)
     run.save_figure(figure, "pareto")
     plt.close(figure)
