@@ -30,6 +30,14 @@ pub struct Arrived<'a> {
     pub depth: &'a [f32],
 }
 
+impl Arrived<'_> {
+    /// The fragments' pixels as indices in the tile.
+    pub fn places(&self) -> impl Iterator<Item = usize> {
+        let pixels = self.pixels.iter().map(|&pixel| pixel as usize);
+        pixels.chain(self.runs.iter().flat_map(|run| run.pixels()))
+    }
+}
+
 impl Arrivals {
     /// Forgets everything.
     pub fn clear(&mut self) {
@@ -42,6 +50,11 @@ impl Arrivals {
     /// The number of fragments.
     pub fn fragments(&self) -> usize {
         self.depth.len()
+    }
+
+    /// The depths of all fragments.
+    pub fn depth(&self) -> &[f32] {
+        &self.depth
     }
 
     /// The number of runs, a single pixel counted as one.

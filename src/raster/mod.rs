@@ -18,6 +18,7 @@ mod tile;
 mod tiling;
 mod visit;
 
+pub use arrivals::Arrivals;
 pub use cover::Rect;
 pub use export::{Drawn, Linear, Outline, pixel_bounds_of};
 pub use interpolate::LANES;
