@@ -2,7 +2,7 @@
 //! loops over the faces become loops of vectors.
 
 use super::project::{CENTER, SUBPIXELS, ScreenVertex};
-use super::tiling::{TileRange, Tiling};
+use super::tiling::{TileRange, Tiling, tile_of};
 use multiversion::multiversion;
 
 /// Faces that are looked at together: misses of the cache overlap while their vertices are fetched.
@@ -160,21 +160,6 @@ fn touch(
         last[i] = tile_of(end - 1, per_pixel);
         any[i] = begin < end;
     }
-}
-
-/// The column or row of tiles that a pixel of the image is in. Half a pixel off, no rounding matters: positions are
-/// below 2^17, and errors 2^-24 of them.
-#[inline(always)]
-#[expect(
-    clippy::cast_precision_loss,
-    clippy::cast_possible_wrap,
-    reason = "pixels of the image, and the last bits"
-)]
-fn tile_of(pixel: i32, per_pixel: f32) -> i32 {
-    // adding it leaves no place for fractions, so that what is added is rounded; half less, it is rounded down
-    const ROUND: f32 = 12_582_912.0; // 1.5 * 2^23
-    let rounded = (pixel as f32 + 0.5) * per_pixel - 0.5 + ROUND;
-    rounded.to_bits() as i32 - ROUND.to_bits() as i32
 }
 
 /// The smaller of two numbers, in one instruction: no depth is NaN.

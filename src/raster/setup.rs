@@ -19,7 +19,7 @@ use std::ops::Range;
 pub struct Triangle<'a> {
     pub face: u32,
     pub vertices: &'a [ScreenVertex; 3],
-    /// Its colour, where there is but one: looked up here, where faces come in order.
+    /// Its colour, where there is but one: looked up in set-up, once for all tiles.
     pub flat: Option<Premultiplied>,
     /// How bright it is where there are several.
     light: f32,
@@ -199,9 +199,7 @@ impl Chunk {
             _ => Primitive::Polygon(&self.polygons[(entry & !POLYGON_BIT) as usize]),
         }
     }
-}
 
-impl Chunk {
     #[inline]
     fn triangle(&self, place: usize) -> Triangle<'_> {
         let (Kept { vertices, color }, face) = (&self.triangles[place], self.faces[place]);
