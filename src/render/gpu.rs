@@ -1,27 +1,25 @@
 //! Rendering on the GPU: the CPU sets scenes up and draws their opaque surfaces, the device does the rest. Fragments that
 //! are there already are taken there as lists, or drawn as triangles of one pixel each where blend units want that.
 
+mod sources;
+
 use super::request::Asked;
 use super::{Options, Request, Source, with_threads};
 use crate::error::{Error, Result};
-use crate::fragments::{Background, Fragment, Fragments, Lists};
+use crate::fragments::{Background, Fragments};
 use crate::frame::{Frame, Image, Sample, Stats, skipped};
 use crate::gpu::form::tiled::RasterPath;
 use crate::gpu::form::{Form, Path, Sorting};
-use crate::gpu::{Given, Key, Opaque, Primitives, Shared, Stop, ToDraw, View, check_size, with_gpu};
-use crate::order::Reorderer;
+use crate::gpu::{Key, Primitives, Shared, Stop, ToDraw, View, check_size, with_gpu};
 use crate::order::{CentroidOrder, SubmissionOrder};
 use crate::params::{self, Params};
-use crate::raster::{self, Drawn, Linear, Outline, Paint, Raster, Tile};
+use crate::raster::{self, Raster};
 use crate::resolve::Variant;
 use crate::scene::Scene;
 use crate::technique::DepthComplexity;
-use rayon::prelude::*;
+use sources::{given, has_opaque, lists_of, opaque_surfaces, points, reordered, view_of};
 use std::sync::Arc;
 use std::time::Instant;
-
-/// Edge of the tiles that opaque surfaces are drawn in.
-const TILE: u32 = 64;
 
 /// A variant ready to be drawn.
 struct Bound {
@@ -146,22 +144,6 @@ pub fn capture_on_gpu(
         let (width, height) = (scene.width(), scene.height());
         Ok(Fragments::captured(width, height, lists_of(&captured), background, range, Some(centroids)))
     })
-}
-
-fn lists_of(captured: &Given) -> Lists {
-    let mut lists = Lists::new();
-    let mut fragments = captured.keys.iter().zip(&captured.colors);
-    for &count in &captured.counts {
-        for (&[depth, primitive], &[r, g, b, alpha]) in fragments.by_ref().take(count as usize) {
-            lists.push(Fragment { depth: f32::from_bits(depth), color: [r, g, b], alpha, primitive });
-        }
-        lists.end_row();
-    }
-    lists
-}
-
-fn has_opaque(scene: &Scene) -> bool {
-    scene.meshes().iter().any(|mesh| !mesh.material().is_transparent())
 }
 
 fn bound(asked: &Asked, source: Source<'_>, view: &params::View, raster: RasterPath) -> Result<Bound> {
@@ -392,93 +374,6 @@ fn split(texels: &[f32], colored: bool) -> (Vec<f32>, Vec<f32>) {
         return (halves(0), halves(1));
     }
     (texels.iter().flat_map(|t| [t[0], t[1], t[2]]).collect(), texels.iter().map(|t| t[3]).collect())
-}
-
-/// The nearest opaque surface of every pixel, as the CPU backend draws it.
-fn opaque_surfaces(scene: &Scene, stop: &(dyn Fn() -> bool + Sync)) -> Opaque {
-    let raster = Raster::new(scene, TILE, stop);
-    let (width, columns) = (scene.width() as usize, raster.columns());
-    let pixels = width * scene.height() as usize;
-    let [r, g, b] = scene.background();
-    let mut opaque = Opaque { depth: vec![f32::INFINITY; pixels], color: vec![[r, g, b, 1.0]; pixels] };
-    let tiles = (0..raster.rows() * columns).into_par_iter().map_init(Tile::default, |tile, i| {
-        let place = (i % columns, i / columns);
-        let rect = raster.rect(place.0, place.1);
-        tile.begin(&raster, place, rect, true, stop);
-        let behind = tile.background();
-        (rect, behind.is_any().then(|| (behind.depths().collect::<Vec<_>>(), behind.colors().to_vec())))
-    });
-    for (rect, surfaces) in tiles.collect::<Vec<_>>() {
-        let Some((depths, colors)) = surfaces else { continue };
-        for row in 0..rect.height() {
-            #[expect(clippy::cast_sign_loss, reason = "tiles lie in the image")]
-            let first = (rect.y0 as usize + row) * width + rect.x0 as usize;
-            for (i, x) in (row * rect.width()..(row + 1) * rect.width()).zip(first..) {
-                let [r, g, b] = colors[i];
-                (opaque.depth[x], opaque.color[x]) = (depths[i], [r, g, b, 1.0]);
-            }
-        }
-    }
-    opaque
-}
-
-/// Fragments as the device has them before they are drawn.
-fn view_of(fragments: &Fragments) -> View {
-    let (background, opaque) = match &fragments.background {
-        Background::Constant(color) => (*color, None),
-        Background::Image(colors) => {
-            let color = colors.iter().map(|&[r, g, b]| [r, g, b, 1.0]).collect();
-            ([0.0; 3], Some(Opaque { depth: vec![f32::INFINITY; colors.len()], color }))
-        }
-    };
-    View { width: fragments.width, height: fragments.height, perspective: false, background, opaque }
-}
-
-/// Fragments in an order.
-fn reordered(fragments: &Fragments, order: SubmissionOrder) -> Lists {
-    let centroids = (order == SubmissionOrder::Centroid).then(|| fragments.centroid_order());
-    let mut reordered = Lists::new();
-    Reorderer::default().reorder(fragments.lists.as_ref(), order, centroids.as_ref(), &mut reordered);
-    reordered
-}
-
-fn given(lists: &Lists) -> Given {
-    let lists = lists.as_ref();
-    #[expect(clippy::cast_possible_truncation, reason = "a pixel's list is far shorter than 2^32")]
-    let counts = (0..lists.len()).map(|pixel| lists.count(pixel) as u32).collect();
-    // adding zero makes -0 the 0 that it equals
-    let keys = lists.all.iter().map(|f| [(f.depth + 0.0).to_bits(), f.primitive]).collect();
-    let colors = lists.all.iter().map(|f| [f.color[0], f.color[1], f.color[2], f.alpha]).collect();
-    Given { counts, keys, colors }
-}
-
-/// Every fragment as a triangle that covers the centre of its pixel and no other. Of sorted ones the places stand for the
-/// primitives, which may repeat themselves.
-fn points(lists: &Lists, width: u32, are_sorted: bool) -> impl Iterator<Item = Drawn<'_>> {
-    const LEG: i32 = 384;
-    let width = width as usize;
-    let lists = lists.as_ref();
-    (0..lists.len()).flat_map(move |pixel| {
-        #[expect(clippy::cast_possible_truncation, clippy::cast_possible_wrap, reason = "pixels of an image")]
-        let (x, y) = ((pixel % width) as i32, (pixel / width) as i32);
-        let row = lists.row(pixel);
-        (0..row.len()).map(move |i| {
-            let fragment = row.get(i);
-            #[expect(clippy::cast_possible_truncation, reason = "a pixel's list is far shorter than 2^32")]
-            let place = i as u32;
-            let (left, top) = (256 * x, 256 * y);
-            let [r, g, b] = fragment.color;
-            Drawn {
-                primitive: if are_sorted { place } else { fragment.primitive },
-                outline: Outline::Triangle([(left, top), (left + LEG, top), (left, top + LEG)]),
-                anchor: (x, y),
-                depth: Linear::default(),
-                weights: [Linear::default(); 3],
-                range: (fragment.depth.into(), fragment.depth.into()),
-                paint: Paint::Flat([r, g, b, fragment.alpha]),
-            }
-        })
-    })
 }
 
 impl Answer {
