@@ -22,7 +22,7 @@ pub struct Pending {
     added: Vec<Vec<[f32; 4]>>,
 }
 
-/// The primitives, one entry each.
+/// The primitives, one entry each; those that follow one that looks the same share its entry, as the halves of a quad do.
 #[derive(Default)]
 struct Layers {
     colors: Vec<Premultiplied>,
@@ -33,6 +33,27 @@ struct Layers {
     pixels: Vec<u64>,
     /// Whether any alpha is faint.
     faint: bool,
+}
+
+impl Layers {
+    /// The index of the last layer if it looks like this, or of a new one.
+    #[expect(clippy::cast_possible_truncation, reason = "far fewer primitives than 2^32 wait")]
+    fn put(&mut self, color: Premultiplied, z: f32, more: u64) -> u32 {
+        let Self { colors, alpha, depth, left, pixels, faint } = self;
+        let same = colors.last() == Some(&color) && depth.last() == Some(&z);
+        if let (true, Some(pixels)) = (same, pixels.last_mut()) {
+            *pixels += more;
+        } else {
+            let covers = f64::from(color[3]);
+            colors.push(color);
+            alpha.push(color[3]);
+            depth.push(z);
+            left.push(1.0 - covers);
+            pixels.push(more);
+            *faint |= covers <= FAINT;
+        }
+        colors.len() as u32 - 1
+    }
 }
 
 impl Pending {
@@ -63,24 +84,18 @@ impl Pending {
     }
 
     /// Keeps a primitive of one colour, and one depth where weights look at it, that consists of these runs.
-    #[expect(clippy::cast_possible_truncation, reason = "far fewer primitives than 2^32 wait")]
     #[expect(clippy::cast_sign_loss, reason = "the run lies in the tile")]
     pub fn push(&mut self, rect: &Rect, cover: &Cover<'_, '_>, runs: &[Run], color: Premultiplied) {
-        let layer = self.layers.pixels.len() as u32;
+        let layer = self.layers.put(color, cover.constant_depth.unwrap_or(1.0), cover.pixels as u64);
         for run in runs {
             let from = run.x - rect.x0;
-            let to = from + run.len.cast_signed();
-            self.rows[(run.y - rect.y0) as usize].push(Stretch { from, to, layer });
+            let stretch = Stretch { from, to: from + run.len.cast_signed(), layer };
+            let row = &mut self.rows[(run.y - rect.y0) as usize];
+            if !row.last_mut().is_some_and(|last| last.join(&stretch)) {
+                row.push(stretch);
+                self.stretches += 1;
+            }
         }
-        self.stretches += runs.len();
-        let Layers { colors, alpha, depth, left, pixels, faint } = &mut self.layers;
-        let covers = f64::from(color[3]);
-        colors.push(color);
-        alpha.push(color[3]);
-        depth.push(cover.constant_depth.unwrap_or(1.0));
-        left.push(1.0 - covers);
-        pixels.push(cover.pixels as u64);
-        *faint |= covers <= FAINT;
     }
 
     /// What each layer adds to the sums of each weight: the weight at its depth times its colour.

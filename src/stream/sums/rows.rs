@@ -25,6 +25,17 @@ pub struct Stretch {
 }
 
 impl Stretch {
+    /// Takes in another that looks the same and begins where this one ends, or ends where it begins; false if it is not
+    /// like that.
+    #[inline]
+    pub fn join(&mut self, other: &Self) -> bool {
+        let joins = self.layer == other.layer && (self.to == other.from || other.to == self.from);
+        if joins {
+            (self.from, self.to) = (self.from.min(other.from), self.to.max(other.to));
+        }
+        joins
+    }
+
     #[inline]
     fn layer(&self) -> usize {
         self.layer as usize
