@@ -23,9 +23,9 @@ pub trait Sample: Copy + Send + Sync + Default + 'static {
 impl Sample for f32 {
     const SHORTCUTS: bool = true;
 
-    #[expect(clippy::cast_possible_truncation, reason = "rounding to the sample type is the point")]
+    #[inline]
     fn from_f64(value: f64) -> Self {
-        value.clamp(f64::from(f32::MIN), f64::from(f32::MAX)) as f32
+        nearest(value)
     }
     fn store(pixels: [&[f64]; 4], colors: &mut [[Self; 3]], shares: &mut [Self]) {
         store_f32(pixels, colors, shares);
@@ -43,6 +43,7 @@ impl Sample for f64 {
     // techniques keep their state in f32, which a shortcut would go around
     const SHORTCUTS: bool = false;
 
+    #[inline]
     fn from_f64(value: f64) -> Self {
         value
     }
@@ -62,22 +63,25 @@ impl Sample for f64 {
     }
 }
 
-#[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
+#[inline(always)]
+#[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
 #[expect(clippy::cast_possible_truncation, reason = "rounding to the sample type is the point")]
-fn store_f32([r, g, b, share]: [&[f64]; 4], colors: &mut [[f32; 3]], shares: &mut [f32]) {
+fn nearest(value: f64) -> f32 {
     let largest = f64::from(f32::MAX);
-    let sample = |value: f64| {
-        let value = if value < largest { value } else { largest };
-        (if value > -largest { value } else { -largest }) as f32
-    };
+    let value = if value < largest { value } else { largest };
+    (if value > -largest { value } else { -largest }) as f32
+}
+
+#[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
+fn store_f32([r, g, b, share]: [&[f64]; 4], colors: &mut [[f32; 3]], shares: &mut [f32]) {
     // slices of one length need no checks, and the loops become ones of vectors across the pixels
     let pixels = colors.len();
     let (r, g, b, share) = (&r[..pixels], &g[..pixels], &b[..pixels], &share[..pixels]);
     for i in 0..pixels {
-        colors[i] = [sample(r[i]), sample(g[i]), sample(b[i])];
+        colors[i] = [nearest(r[i]), nearest(g[i]), nearest(b[i])];
     }
     for (to, share) in shares.iter_mut().zip(share) {
-        *to = sample(*share);
+        *to = nearest(*share);
     }
 }
 

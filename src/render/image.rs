@@ -3,8 +3,9 @@
 use crate::error::{Error, Result};
 use crate::frame::Sample;
 use crate::raster::Rect;
-use crate::stream::Cells;
+use crate::stream::{Cells, RowOfCells};
 use crate::technique::{FinishedPixels, Resolved};
+use multiversion::multiversion;
 use std::ops::Range;
 
 /// One variant's images.
@@ -154,14 +155,10 @@ impl<S: Sample> Patch<'_, S> {
 
     /// Stores one pixel of variant `v` in all places of a cell of the part `rect`, for each of its cells.
     pub fn fill(&mut self, v: usize, rect: &Rect, cells: &Cells, pixels: &FinishedPixels) {
-        let mut row = CellRow::default();
-        let mut rows = cells.rows(rect.width());
-        let store = |to_colors: &mut [[S; 3]], to_shares: &mut [S], channels, _| {
-            let Some((cells, ends)) = rows.next() else { return };
-            row.spread(pixels.planes(cells), ends);
-            to_colors.copy_from_slice(&row.colors[..to_colors.len()]);
-            for (to, share) in to_shares.chunks_exact_mut(channels).zip(row.shares) {
-                to.fill(share);
+        let mut rows = cells.rows();
+        let store = |colors: &mut [[S; 3]], shares: &mut [S], _, now: Range<usize>| {
+            if let Some(RowOfCells { places, ends }) = rows.next() {
+                spread(pixels.planes(places), now.start, ends, colors.as_flattened_mut(), shares);
             }
         };
         self.rows(v, rect, 0, rect.area(), store);
@@ -204,39 +201,45 @@ impl<S: Sample> Patch<'_, S> {
     }
 }
 
-/// A row of cells on its way into the image, with room for a block behind the last.
-struct CellRow<S> {
-    colors: [[S; 3]; Cells::MOST_COLUMNS + BLOCK],
-    shares: [S; Cells::MOST_COLUMNS + BLOCK],
-}
-
 /// Pixels that are written together.
-const BLOCK: usize = 16;
+const BLOCK: usize = 8;
 
-impl<S: Sample> Default for CellRow<S> {
-    fn default() -> Self {
-        let (color, share) = ([S::default(); 3], S::default());
-        Self { colors: [color; Cells::MOST_COLUMNS + BLOCK], shares: [share; Cells::MOST_COLUMNS + BLOCK] }
+/// Writes a row of cells, which begins with pixel `first` of the tile: each cell's pixel up to its end, in whole blocks where they
+/// fit, the ends of which the next cell writes over.
+#[multiversion(
+    targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"),
+    dispatcher = "direct"
+)]
+fn spread<S: Sample>(cells: [&[f64]; 4], first: usize, ends: &[u32], colors: &mut [S], shares: &mut [S]) {
+    let [r, g, b, share] = cells.map(|plane| &plane[..ends.len()]);
+    let mut next = 0;
+    for (cell, &end) in ends.iter().enumerate() {
+        let end = end as usize - first;
+        let pixel = [r[cell], g[cell], b[cell], share[cell]].map(S::from_f64);
+        while next < end {
+            let block = (colors[3 * next..].first_chunk_mut(), shares[next..].first_chunk_mut());
+            if let (Some(colors), Some(shares)) = block {
+                fill_block(pixel, colors, shares);
+            } else {
+                let [r, g, b, share] = pixel;
+                colors[3 * next..3 * end].as_chunks_mut().0.fill([r, g, b]);
+                shares[next..end].fill(share);
+            }
+            next += BLOCK;
+        }
+        next = end;
     }
 }
 
-impl<S: Sample> CellRow<S> {
-    /// Writes each cell's pixel up to its end, in whole blocks, the ends of which the next cell writes over.
-    fn spread(&mut self, cells: [&[f64]; 4], ends: impl Iterator<Item = usize>) {
-        let count = cells[3].len();
-        let mut colors = [[S::default(); 3]; Cells::MOST_COLUMNS];
-        let mut shares = [S::default(); Cells::MOST_COLUMNS];
-        S::store(cells, &mut colors[..count], &mut shares[..count]);
-        let mut next = 0;
-        for ((color, share), end) in colors.into_iter().zip(shares).zip(ends) {
-            while next < end {
-                self.colors[next..next + BLOCK].fill(color);
-                self.shares[next..next + BLOCK].fill(share);
-                next += BLOCK;
-            }
-            next = end;
-        }
+/// Four samples at a time, of which the next pixel writes over one: what three of them repeat would have to be put
+/// together first.
+#[inline(always)]
+#[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+fn fill_block<S: Sample>(pixel: [S; 4], colors: &mut [S; 3 * BLOCK + 1], shares: &mut [S; BLOCK]) {
+    for place in 0..BLOCK {
+        colors[3 * place..3 * place + 4].copy_from_slice(&pixel);
     }
+    *shares = [pixel[3]; BLOCK];
 }
 
 /// A row of pixels that nothing covers.

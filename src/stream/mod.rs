@@ -6,7 +6,7 @@ mod sums;
 
 pub use layers::{TileBlend, TileOver};
 pub use over_lists::over_lists;
-pub use sums::{Cells, TileSums};
+pub use sums::{Cells, RowOfCells, TileSums};
 
 use crate::raster::{Cover, Paint, Premultiplied};
 use crate::resolve::nanos_since;

@@ -17,7 +17,7 @@ use crate::raster::{Cover, Opaque, Premultiplied, Rect, Run, Sink, Where};
 use crate::resolve::nanos_since;
 use crate::technique::FinishedPixels;
 use crate::weight::Weighting;
-pub use cells::Cells;
+pub use cells::{Cells, RowOfCells};
 use deferred::Deferred;
 use kernels::{
     Places, add_constant, add_constant_to_few, add_few, add_flat, add_weighted, attenuate, blend_few,

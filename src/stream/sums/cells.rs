@@ -21,7 +21,7 @@ pub struct Cells {
 
 impl Cells {
     /// Tiles with more columns have no cells: a row's ends are the bits of a word.
-    pub const MOST_COLUMNS: usize = 64;
+    const MOST_COLUMNS: usize = 64;
 
     /// Finds the cells of the tile `rect` under so many stretches, row by row; false if they are too many to pay off.
     pub fn find(&mut self, rect: &Rect, rows: &[Vec<Stretch>], stretches: usize) -> bool {
@@ -80,14 +80,19 @@ impl Cells {
         self.ends.iter().scan(0, |first, &end| Some((end - std::mem::replace(first, end)) as usize))
     }
 
-    /// Row by row: its cells, and one past the last column of each.
-    pub fn rows(&self, columns: usize) -> impl Iterator<Item = (Range<usize>, impl Iterator<Item = usize>)> {
-        let cells = self.firsts.iter().zip(&self.firsts[1..]).map(|(&a, &b)| a as usize..b as usize);
-        cells.enumerate().map(move |(row, cells)| {
-            let ends = self.ends[cells.clone()].iter().map(move |&end| end as usize - row * columns);
-            (cells, ends)
-        })
+    /// Row by row, its cells.
+    pub fn rows(&self) -> impl Iterator<Item = RowOfCells<'_>> {
+        let places = self.firsts.iter().zip(&self.firsts[1..]).map(|(&a, &b)| a as usize..b as usize);
+        places.map(|places| RowOfCells { ends: &self.ends[places.clone()], places })
     }
+}
+
+/// The cells of a row of the tile.
+pub struct RowOfCells<'a> {
+    /// Which they are among all.
+    pub places: Range<usize>,
+    /// One past the last pixel of each in the tile.
+    pub ends: &'a [u32],
 }
 
 /// The bit of a column; none beyond the last that a word has, whose predecessor is all bits.
@@ -118,10 +123,10 @@ mod tests {
         let rows = rows([&[(0, 64)], &[(2, 64), (2, 12)], &[], &[(63, 64)]]);
         assert!(find(&mut cells, &RECT, &rows));
         assert_eq!(cells.pixels().collect::<Vec<_>>(), [64, 2, 10, 52, 64, 63, 1]);
-        let of_rows: Vec<_> = cells.rows(64).map(|(cells, ends)| (cells, ends.collect::<Vec<_>>())).collect();
+        let of_rows: Vec<_> = cells.rows().map(|row| (row.places, row.ends)).collect();
         assert_eq!(
             of_rows,
-            [(0..1, vec![64]), (1..4, vec![2, 12, 64]), (4..5, vec![64]), (5..7, vec![63, 64])]
+            [(0..1, &[64][..]), (1..4, &[66, 76, 128]), (4..5, &[192]), (5..7, &[255, 256])]
         );
         let of = |row: usize, i: usize| cells.of(row, &rows[row][i]);
         assert_eq!([of(0, 0), of(1, 0), of(1, 1), of(3, 0)], [0..1, 2..4, 2..3, 6..7]);
