@@ -45,21 +45,26 @@ pub type Finished = [f64; 4];
 /// Finished pixels, channel by channel: so they are made and stored many at a time.
 #[derive(Debug, Default)]
 pub struct FinishedPixels {
+    /// Channels with room for as many as there ever were.
     planes: [Vec<f64>; 4],
+    len: usize,
 }
 
 impl FinishedPixels {
     /// Makes room for so many; those that are there already stay.
     pub fn resize(&mut self, pixels: usize) {
-        self.planes.iter_mut().for_each(|plane| plane.resize(pixels, 0.0));
+        if self.planes[0].len() < pixels {
+            self.planes.iter_mut().for_each(|plane| plane.resize(pixels, 0.0));
+        }
+        self.len = pixels;
     }
     /// How many there are.
     pub fn len(&self) -> usize {
-        self.planes[0].len()
+        self.len
     }
     /// Whether there are none.
     pub fn is_empty(&self) -> bool {
-        self.len() == 0
+        self.len == 0
     }
     /// One channel after the other of some of them.
     pub fn planes(&self, pixels: Range<usize>) -> [&[f64]; 4] {
@@ -68,8 +73,8 @@ impl FinishedPixels {
     }
     /// One channel after the other of all, to be written.
     pub fn planes_mut(&mut self) -> [&mut [f64]; 4] {
-        let [r, g, b, share] = &mut self.planes;
-        [r, g, b, share]
+        let ([r, g, b, share], len) = (&mut self.planes, self.len);
+        [&mut r[..len], &mut g[..len], &mut b[..len], &mut share[..len]]
     }
     /// Writes one pixel.
     pub fn set(&mut self, i: usize, pixel: Finished) {

@@ -108,12 +108,18 @@ impl Pixels {
         (self.rect.x0, self.rect.y0)
     }
 
+    /// The pixels' columns and rows in the tile.
+    pub fn places_in_tile(&self) -> impl Iterator<Item = (i32, i32)> {
+        self.at[..self.count].iter().map(|&at| unpack(at))
+    }
+
     fn positions(&self) -> impl Iterator<Item = (i32, i32)> {
-        self.at[..self.count].iter().map(|&at| self.position(at))
+        self.places_in_tile().map(|(column, row)| (self.rect.x0 + column, self.rect.y0 + row))
     }
 
     fn position(&self, at: u32) -> (i32, i32) {
-        (self.rect.x0 + (at & 0xFFFF).cast_signed(), self.rect.y0 + (at >> 16).cast_signed())
+        let (column, row) = unpack(at);
+        (self.rect.x0 + column, self.rect.y0 + row)
     }
 
     /// Lists the pixels of some runs, which are no more than [`FEW`].
@@ -283,6 +289,11 @@ fn tiny_coverage(points: [(i32, i32); 3], sign: i32, bounds: &Rect) -> u64 {
         row <<= 1;
     }
     !u64::from_le_bytes(outside.map(|rows| rows as u8))
+}
+
+/// A column and a row of the tile.
+fn unpack(at: u32) -> (i32, i32) {
+    ((at & 0xFFFF).cast_signed(), (at >> 16).cast_signed())
 }
 
 #[cfg(test)]

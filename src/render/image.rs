@@ -211,11 +211,18 @@ const BLOCK: usize = 8;
     dispatcher = "direct"
 )]
 fn spread<S: Sample>(cells: [&[f64]; 4], first: usize, ends: &[u32], colors: &mut [S], shares: &mut [S]) {
-    let [r, g, b, share] = cells.map(|plane| &plane[..ends.len()]);
+    let [r, g, b, share] = cells;
+    let (r, g, b, share) = (&r[..ends.len()], &g[..ends.len()], &b[..ends.len()], &share[..ends.len()]);
     let mut next = 0;
     for (cell, &end) in ends.iter().enumerate() {
         let end = end as usize - first;
-        let pixel = [r[cell], g[cell], b[cell], share[cell]].map(S::from_f64);
+        // written out: `map` may be called, and not for the instruction set at hand
+        let pixel = [
+            S::from_f64(r[cell]),
+            S::from_f64(g[cell]),
+            S::from_f64(b[cell]),
+            S::from_f64(share[cell]),
+        ];
         while next < end {
             let block = (colors[3 * next..].first_chunk_mut(), shares[next..].first_chunk_mut());
             if let (Some(colors), Some(shares)) = block {

@@ -9,7 +9,7 @@ use crate::fragments::Lists;
 use crate::frame::Sample;
 use crate::raster::{Cover, Order, Raster, Rect, Sink, Tile, TileLists};
 use crate::resolve::{Resolver, nanos_since};
-use crate::stream::{Cells, TileBlend, TileOver, TileSums, over_lists};
+use crate::stream::{TileBlend, TileOver, TileSums, over_lists};
 use crate::technique::{Batch, FinishedPixels, Resolved, Streamed};
 use std::ops::Range;
 use std::time::Instant;
@@ -79,8 +79,9 @@ impl<'r> Sink<'r> for Collector<'_, 'r, '_> {
 
 /// What a part of a tile came to.
 enum Drawn {
-    /// Everything is where it belongs; whether there are lists, and whether `over` was fed.
-    Done { lists: bool, over: bool },
+    /// Everything is where it belongs; whether there are lists, whether `over` was fed, and whether the fragments are
+    /// counted.
+    Done { lists: bool, over: bool, counted: bool },
     /// The lists are too long to be kept.
     TooDeep,
     /// The user does not want it any more.
@@ -127,12 +128,13 @@ impl Job<'_> {
                     self.part(raster, tile, half, worker, patch, tally)?;
                 }
             }
-            Drawn::Done { lists, over } => {
+            Drawn::Done { lists, over, counted } => {
                 if lists {
                     // `over` alone gets them sorted
                     worker.lists.distribute(self.plan.listed.is_empty());
                 }
                 tally.raster_nanos += nanos_since(start);
+                self.finish_sums(&rect, counted, worker, patch, tally);
                 self.finish_streamed(&rect, over, worker, patch, tally);
                 if lists && !self.plan.overs.is_empty() {
                     self.finish_over(&rect, worker, patch, tally);
@@ -209,20 +211,72 @@ impl Job<'_> {
             return Drawn::Stopped;
         }
         tally.occluded.add(occluded.unwrap_or(drawn.occluded()));
-        let cells = sums.cells();
-        tally.repeated_pixels += cells.map_or(0, |cells| (rect.area() - cells.count()) as u64);
-        match cells {
-            _ if lists_wanted => tally.count(lists.counts()),
-            _ if over_wanted => tally.count(over.counts()),
-            _ if !plan.blends.is_empty() => tally.count(blend.counts()),
-            _ if !plan.painters.is_empty() => tally.count(painter.counts()),
-            None => tally.count(sums.counts()),
-            Some(cells) => tally.count_cells(sums.counts(), cells.pixels()),
+        let counts = match () {
+            () if lists_wanted => Some(lists.counts()),
+            () if over_wanted => Some(over.counts()),
+            () if !plan.blends.is_empty() => Some(blend.counts()),
+            () if !plan.painters.is_empty() => Some(painter.counts()),
+            () => None,
+        };
+        if let Some(counts) = counts {
+            tally.count(counts);
         }
-        Drawn::Done { lists: lists_wanted, over: over_wanted }
+        Drawn::Done { lists: lists_wanted, over: over_wanted, counted: counts.is_some() }
     }
 
-    /// Stores what was fed while rasterising.
+    /// Stores what sums came to, and counts their fragments unless that has been done.
+    fn finish_sums<S: Sample>(
+        &self,
+        rect: &Rect,
+        counted: bool,
+        worker: &mut Worker<'_, '_>,
+        patch: &mut Patch<'_, S>,
+        tally: &mut Tally,
+    ) {
+        let plan = &self.plan;
+        if plan.sums.is_empty() {
+            return;
+        }
+        let Worker { tile, sums, pixels, .. } = worker;
+        let background = tile.background();
+        for (i, &v) in plan.sums.iter().enumerate() {
+            tally.variants[v].invalid_weights += sums.invalid(i);
+        }
+        plan.sums.iter().zip(sums.nanos()).for_each(|(&v, nanos)| tally.streamed(v, nanos));
+        let mut clock = Instant::now();
+        if let Some(cells) = sums.cells() {
+            let all = 0..cells.count();
+            tally.repeated_pixels += (rect.area() - all.end) as u64;
+            if !counted {
+                tally.count_cells(sums.counts(all.clone()), cells.pixels());
+            }
+            for (i, &v) in plan.sums.iter().enumerate() {
+                sums.finish(i, all.clone(), background, pixels);
+                patch.fill(v, rect, cells, pixels);
+                tally.variants[v].nanos += lap(&mut clock);
+            }
+            return;
+        }
+        let whole_rows = (BATCH_PIXELS / rect.width()).max(1) * rect.width();
+        for first in (0..rect.area()).step_by(whole_rows) {
+            let batch = first..(first + whole_rows).min(rect.area());
+            sums.reach(batch.clone());
+            if !counted {
+                tally.count(sums.counts(batch.clone()));
+            }
+            let alone = plan.sums.len() == 1;
+            let share = if alone { 0 } else { lap(&mut clock) / plan.sums.len() as u64 };
+            for (i, &v) in plan.sums.iter().enumerate() {
+                sums.finish(i, batch.clone(), background, pixels);
+                patch.store_finished(v, rect, first, pixels);
+                // reading the clock takes as long as some fifty pixels
+                let is_last = batch.end == rect.area();
+                tally.variants[v].nanos += if alone && !is_last { 0 } else { share + lap(&mut clock) };
+            }
+        }
+    }
+
+    /// Stores what else was fed while rasterising.
     fn finish_streamed<S: Sample>(
         &self,
         rect: &Rect,
@@ -232,17 +286,8 @@ impl Job<'_> {
         tally: &mut Tally,
     ) {
         let plan = &self.plan;
-        let Worker { tile, sums, blend, painter, over, pixels, .. } = worker;
+        let Worker { tile, blend, painter, over, pixels, .. } = worker;
         let background = tile.background();
-        for (i, &v) in plan.sums.iter().enumerate() {
-            let finish = |range, out: &mut FinishedPixels| sums.finish(i, range, background, out);
-            match sums.cells() {
-                None => store(v, rect, patch, tally, pixels, finish),
-                Some(cells) => store_cells(v, rect, cells, patch, tally, pixels, finish),
-            }
-            tally.variants[v].invalid_weights += sums.invalid(i);
-        }
-        plan.sums.iter().zip(sums.nanos()).for_each(|(&v, nanos)| tally.streamed(v, nanos));
         for (variants, target) in [(&plan.blends, blend), (&plan.painters, painter)] {
             let nanos = target.nanos() / variants.len().max(1) as u64;
             for &v in variants {
@@ -387,18 +432,9 @@ fn store<S: Sample>(
     tally.variants[v].nanos += nanos_since(start);
 }
 
-/// The same for the pixels of cells, each of which is finished once.
-fn store_cells<S: Sample>(
-    v: usize,
-    rect: &Rect,
-    cells: &Cells,
-    patch: &mut Patch<'_, S>,
-    tally: &mut Tally,
-    pixels: &mut FinishedPixels,
-    finish: impl FnOnce(Range<usize>, &mut FinishedPixels),
-) {
-    let start = Instant::now();
-    finish(0..cells.count(), pixels);
-    patch.fill(v, rect, cells, pixels);
-    tally.variants[v].nanos += nanos_since(start);
+/// The time since the last lap.
+fn lap(clock: &mut Instant) -> u64 {
+    let now = Instant::now();
+    let nanos = now.duration_since(std::mem::replace(clock, now)).as_nanos();
+    u64::try_from(nanos).unwrap_or(u64::MAX)
 }

@@ -52,8 +52,9 @@ impl Stopwatch {
 
 /// So many numbers, all with the same value.
 fn reset<T: Copy>(numbers: &mut Vec<T>, len: usize, value: T) {
-    numbers.clear();
+    // filling is several times as fast as growing
     numbers.resize(len, value);
+    numbers.fill(value);
 }
 
 /// The colour of a primitive that has but one.

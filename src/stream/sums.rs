@@ -13,7 +13,7 @@ mod rows;
 
 use super::{Stopwatch, flat_color, reset, shade};
 use crate::continuum::sums::{Blended, FAINT, SumsOf};
-use crate::raster::{Cover, Opaque, Premultiplied, Rect, Run, Sink, Where};
+use crate::raster::{Cover, Opaque, Premultiplied, Rect, Sink, Where};
 use crate::resolve::nanos_since;
 use crate::technique::FinishedPixels;
 use crate::weight::Weighting;
@@ -60,6 +60,9 @@ enum Kept {
     Pixels,
     /// Every cell.
     Cells,
+    /// The rows that were wanted last, from this pixel on: everything waits until then, so that sums never leave the
+    /// first-level cache.
+    Rows(usize),
 }
 
 /// A weight that some variants share.
@@ -93,14 +96,26 @@ struct Sums {
 impl Sums {
     /// No fragments, in so many places.
     fn clear(&mut self, places: usize) {
-        let Self { weighted, transmittance, coverage, counts, faint } = self;
-        reset(transmittance, places, 1.0);
-        if *faint || coverage.len() != places {
-            reset(coverage, places, 0.0);
-            *faint = false;
+        reset(&mut self.transmittance, places, 1.0);
+        reset(&mut self.counts, places, 0);
+        self.weighted.iter_mut().for_each(|sums| reset(sums, places, [0.0; 4]));
+        self.clear_coverage(places);
+    }
+
+    /// The same for places where [`Pending::blend_rows`] does not look at what was there before.
+    fn make_room(&mut self, places: usize) {
+        self.transmittance.resize(places, 1.0);
+        self.counts.resize(places, 0);
+        self.weighted.iter_mut().for_each(|sums| sums.resize(places, [0.0; 4]));
+        self.clear_coverage(places);
+    }
+
+    fn clear_coverage(&mut self, places: usize) {
+        if self.faint {
+            self.coverage.fill(0.0);
+            self.faint = false;
         }
-        reset(counts, places, 0);
-        weighted.iter_mut().for_each(|sums| reset(sums, places, [0.0; 4]));
+        self.coverage.resize(places, 0.0);
     }
 }
 
@@ -143,15 +158,30 @@ impl<'a> TileSums<'a> {
         if self.weights.is_empty() {
             return;
         }
-        let untouched = self.kept == Kept::Nothing && share;
-        if untouched && self.pending.find_cells(&self.rect, &mut self.cells) {
-            self.keep_sums(Kept::Cells);
-            self.blend_pending();
-            return;
+        if self.kept != Kept::Nothing {
+            self.flush_deferred();
+            return self.flush_pending();
         }
-        self.keep_sums(Kept::Pixels);
-        self.flush_deferred();
-        self.flush_pending();
+        let start = Instant::now();
+        self.pending.weigh(&mut self.weights, &mut self.weight);
+        if share && self.pending.find_cells(&self.rect, &mut self.cells) {
+            self.keep_sums(Kept::Cells);
+            self.pending.blend_cells(&self.cells, &mut self.sums);
+        } else {
+            self.kept = Kept::Rows(0);
+        }
+        self.spent(start);
+    }
+
+    /// Has to come before sums of these pixels, whole rows, are looked at.
+    pub fn reach(&mut self, places: Range<usize>) {
+        if let Kept::Rows(first) = &mut self.kept {
+            *first = places.start;
+            self.sums.make_room(places.len());
+            let columns = self.rect.width();
+            let rows = places.start / columns..places.end / columns;
+            self.pending.blend_rows(rows, columns, &mut self.sums, true);
+        }
     }
 
     /// Clears the sums if there are none yet.
@@ -166,15 +196,16 @@ impl<'a> TileSums<'a> {
     fn flush_pending(&mut self) {
         if !self.pending.is_empty() {
             self.keep_sums(Kept::Pixels);
-            self.blend_pending();
+            let start = Instant::now();
+            self.pending.weigh(&mut self.weights, &mut self.weight);
+            self.pending.blend_rows(0..self.rect.height(), self.rect.width(), &mut self.sums, false);
+            self.pending.clear();
+            self.spent(start);
         }
     }
 
-    fn blend_pending(&mut self) {
-        let start = Instant::now();
-        let cells = (self.kept == Kept::Cells).then_some(&self.cells);
-        self.pending.blend(&self.rect, cells, &mut self.weights, &mut self.sums, &mut self.weight);
-        // alone, each weight would have to do about as much
+    /// Time for all weights: alone, each would have to do about as much.
+    fn spent(&mut self, start: Instant) {
         let share = nanos_since(start) / self.weights.len() as u64;
         self.weights.iter_mut().for_each(|weight| weight.stopwatch.add(share));
     }
@@ -195,20 +226,29 @@ impl<'a> TileSums<'a> {
         (self.kept == Kept::Cells).then_some(&self.cells)
     }
 
-    /// Fragments per pixel, or per pixel of a cell.
-    pub fn counts(&self) -> &[u32] {
-        &self.sums.counts
+    /// Fragments per pixel, or per pixel of a cell, of those that were reached.
+    pub fn counts(&self, places: Range<usize>) -> &[u32] {
+        &self.sums.counts[self.indices(places)]
+    }
+
+    /// Where in the sums these pixels or cells are.
+    fn indices(&self, places: Range<usize>) -> Range<usize> {
+        let first = if let Kept::Rows(first) = self.kept { first } else { 0 };
+        places.start - first..places.end - first
     }
 
     /// Some pixels of variant `v`, or one of each of some cells.
     pub fn finish(&self, v: usize, places: Range<usize>, background: &Opaque, out: &mut FinishedPixels) {
         let (technique, place) = self.variants[v];
+        let at = self.indices(places.clone());
+        // the first are as good as any, and in the cache
+        let behind = if background.is_one_color() { 0..places.len() } else { places };
         let sums = SumsOf {
-            weighted: &self.sums.weighted[place][places.clone()],
-            transmittance: &self.sums.transmittance[places.clone()],
-            coverage: &self.sums.coverage[places.clone()],
-            counts: &self.sums.counts[places.clone()],
-            background: &background.colors()[places],
+            weighted: &self.sums.weighted[place][at.clone()],
+            transmittance: &self.sums.transmittance[at.clone()],
+            coverage: &self.sums.coverage[at.clone()],
+            counts: &self.sums.counts[at],
+            background: &background.colors()[behind],
         };
         technique.finish_all(&sums, out);
     }
@@ -225,9 +265,9 @@ impl<'r> Sink<'r> for TileSums<'_> {
     #[inline(always)]
     #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
     fn take(&mut self, cover: &Cover<'_, 'r>) -> bool {
-        match (flat_color(cover), cover.at) {
-            (Some(color), Where::Many(runs)) if self.is_constant(cover) => self.keep(cover, runs, color),
-            (flat, _) => {
+        match flat_color(cover) {
+            Some(color) if self.is_constant(cover) && self.may_wait(cover.at) => self.keep(cover, color),
+            flat => {
                 self.flush_pending();
                 self.keep_sums(Kept::Pixels);
                 let fused = self.take_first(cover);
@@ -247,10 +287,15 @@ impl TileSums<'_> {
         cover.constant_depth.is_some() || self.weights.iter().all(|weight| weight.weighting.is_none())
     }
 
+    /// Large primitives may, small ones where they are few: they need not make an end of waiting.
+    fn may_wait(&self, at: Where<'_>) -> bool {
+        matches!(at, Where::Many(_)) || (self.kept == Kept::Nothing && self.pending.has_room_for_few())
+    }
+
     /// Keeps a primitive that is the same everywhere for later.
-    fn keep(&mut self, cover: &Cover<'_, '_>, runs: &[Run], color: Premultiplied) {
+    fn keep(&mut self, cover: &Cover<'_, '_>, color: Premultiplied) {
         self.flush_deferred();
-        self.pending.push(&self.rect, cover, runs, color);
+        self.pending.push(&self.rect, cover, color);
         if self.pending.is_full() {
             self.flush_pending();
         }

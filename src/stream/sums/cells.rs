@@ -6,7 +6,7 @@ use crate::raster::Rect;
 use std::ops::Range;
 
 /// Cells pay off from so many pixels per cell on, on average.
-const PIXELS_PER_CELL: usize = 4;
+const PIXELS_PER_CELL: usize = 8;
 
 /// How a tile falls into cells, row by row from the top.
 #[derive(Debug, Default)]

@@ -1,4 +1,4 @@
-//! Large primitives that are the same everywhere, kept until there are many and then blended into one row of the tile
+//! Primitives that are the same everywhere, kept until there are many and then blended into one row of the tile
 //! after the other, or into its cells. A pixel gets its fragments in the same order.
 
 use super::cells::Cells;
@@ -6,10 +6,13 @@ use super::kernels::Places;
 use super::rows::{Stretch, add_row, blend_row, cover_row};
 use super::{Sums, Weight};
 use crate::continuum::sums::FAINT;
-use crate::raster::{Cover, Premultiplied, Rect, Run};
+use crate::raster::{Cover, Premultiplied, Rect, Where};
+use std::ops::Range;
 
 /// Stretches that are worth keeping, at 12 bytes each.
 const STRETCHES: usize = 1 << 13;
+/// Stretches up to which those of small primitives are, too.
+const FEW_STRETCHES: usize = 1 << 10;
 
 /// What waits to be blended.
 #[derive(Default)]
@@ -83,23 +86,42 @@ impl Pending {
         self.stretches >= STRETCHES
     }
 
-    /// Keeps a primitive of one colour, and one depth where weights look at it, that consists of these runs.
-    #[expect(clippy::cast_sign_loss, reason = "the run lies in the tile")]
-    pub fn push(&mut self, rect: &Rect, cover: &Cover<'_, '_>, runs: &[Run], color: Premultiplied) {
+    /// Whether small primitives may be kept: something waits, but not much.
+    pub fn has_room_for_few(&self) -> bool {
+        (1..FEW_STRETCHES).contains(&self.stretches)
+    }
+
+    /// Keeps a primitive of one colour, and one depth where weights look at it.
+    pub fn push(&mut self, rect: &Rect, cover: &Cover<'_, '_>, color: Premultiplied) {
         let layer = self.layers.put(color, cover.constant_depth.unwrap_or(1.0), cover.pixels as u64);
-        for run in runs {
-            let from = run.x - rect.x0;
-            let stretch = Stretch { from, to: from + run.len.cast_signed(), layer };
-            let row = &mut self.rows[(run.y - rect.y0) as usize];
-            if !row.last_mut().is_some_and(|last| last.join(&stretch)) {
-                row.push(stretch);
-                self.stretches += 1;
+        match cover.at {
+            Where::Many(runs) => {
+                for run in runs {
+                    let from = run.x - rect.x0;
+                    self.put(run.y - rect.y0, Stretch { from, to: from + run.len.cast_signed(), layer });
+                }
+            }
+            Where::Few(pixels) => {
+                for (column, row) in pixels.places_in_tile() {
+                    self.put(row, Stretch { from: column, to: column + 1, layer });
+                }
             }
         }
     }
 
-    /// What each layer adds to the sums of each weight: the weight at its depth times its colour.
-    fn weigh(&mut self, weights: &mut [Weight<'_>], numbers: &mut Vec<f32>) {
+    #[inline]
+    #[expect(clippy::cast_sign_loss, reason = "a row of the tile")]
+    fn put(&mut self, row: i32, stretch: Stretch) {
+        let row = &mut self.rows[row as usize];
+        if !row.last_mut().is_some_and(|last| last.join(&stretch)) {
+            row.push(stretch);
+            self.stretches += 1;
+        }
+    }
+
+    /// Finds what each layer adds to the sums of each weight: the weight at its depth times its colour. Has to come before
+    /// anything is blended.
+    pub fn weigh(&mut self, weights: &mut [Weight<'_>], numbers: &mut Vec<f32>) {
         let Layers { colors, alpha, depth, pixels, .. } = &self.layers;
         for (weight, added) in weights.iter_mut().zip(&mut self.added) {
             let Some(weighting) = weight.weighting else {
@@ -112,45 +134,32 @@ impl Pending {
         }
     }
 
-    /// Blends everything, in the order in which it came, into the pixels of the tile `rect`, or into its cells.
-    pub fn blend(
-        &mut self,
-        rect: &Rect,
-        cells: Option<&Cells>,
-        weights: &mut [Weight<'_>],
-        sums: &mut Sums,
-        numbers: &mut Vec<f32>,
-    ) {
-        self.weigh(weights, numbers);
-        match cells {
-            Some(cells) => self.blend_cells(cells, sums),
-            None => self.blend_rows(rect.width(), sums),
-        }
-        sums.faint |= self.layers.faint;
-        self.clear();
-    }
-
-    fn blend_rows(&self, columns: usize, sums: &mut Sums) {
+    /// Blends what waits in these rows of the tile, in the order in which it came, into the sums of their pixels, or into
+    /// none where the rows are fresh.
+    pub fn blend_rows(&self, rows: Range<usize>, columns: usize, sums: &mut Sums, fresh: bool) {
         let Layers { left, alpha, faint, .. } = &self.layers;
-        let Sums { weighted, transmittance, coverage, counts, .. } = sums;
-        for (row, stretches) in self.rows.iter().enumerate() {
+        let Sums { weighted, transmittance, coverage, counts, faint: any_faint } = sums;
+        *any_faint |= faint;
+        for (row, stretches) in self.rows[rows].iter().enumerate() {
             let pixels = row * columns..(row + 1) * columns;
             let mut weighted = weighted.iter_mut().map(|sums| &mut sums[pixels.clone()]).zip(&self.added);
             if let Some((sums, added)) = weighted.next() {
                 let transmittance = &mut transmittance[pixels.clone()];
                 let row = Places { transmittance, counts: &mut counts[pixels.clone()], sums };
-                blend_row(stretches, left, added, row);
+                blend_row(stretches, left, added, row, fresh);
             }
-            weighted.for_each(|(sums, added)| add_row(stretches, added, sums));
+            weighted.for_each(|(sums, added)| add_row(stretches, added, sums, fresh));
             if *faint {
                 cover_row(stretches, alpha, &mut coverage[pixels]);
             }
         }
     }
 
-    fn blend_cells(&self, cells: &Cells, sums: &mut Sums) {
+    /// Blends everything that waits into the sums of the tile's cells.
+    pub fn blend_cells(&self, cells: &Cells, sums: &mut Sums) {
         let Layers { left, alpha, faint, .. } = &self.layers;
-        let Sums { weighted, transmittance, coverage, counts, .. } = sums;
+        let Sums { weighted, transmittance, coverage, counts, faint: any_faint } = sums;
+        *any_faint |= faint;
         for (row, stretches) in self.rows.iter().enumerate() {
             for stretch in stretches {
                 let (places, layer) = (cells.of(row, stretch), stretch.layer as usize);
@@ -171,7 +180,7 @@ impl Pending {
     }
 
     /// Forgets what waits.
-    fn clear(&mut self) {
+    pub fn clear(&mut self) {
         self.rows.iter_mut().for_each(Vec::clear);
         self.stretches = 0;
         let Layers { colors, alpha, depth, left, pixels, faint } = &mut self.layers;

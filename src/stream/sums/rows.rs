@@ -53,6 +53,8 @@ struct Block {
 struct Weighted([[f32; PIXELS]; CHANNELS]);
 
 impl Weighted {
+    const NONE: Self = Self([[0.0; PIXELS]; CHANNELS]);
+
     #[inline(always)]
     #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
     fn load(sums: &[[f32; CHANNELS]; PIXELS]) -> Self {
@@ -133,6 +135,9 @@ impl Lanes {
 }
 
 impl Block {
+    /// No fragments.
+    const NONE: Self = Self { transmittance: [1.0; PIXELS], counts: [0; PIXELS], sums: Weighted::NONE };
+
     #[inline(always)]
     #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
     fn add_to_all(&mut self, left: f64, added: [f32; CHANNELS]) {
@@ -178,14 +183,24 @@ fn pass<B>(
     }
 }
 
-/// Attenuates the background to `left[layer]`, counts the fragments, and adds `added[layer]` to the sums. Columns that fill no block
-/// of their own are worked on as a block that has others, too.
+/// Attenuates the background to `left[layer]`, counts the fragments, and adds `added[layer]` to the sums, or to none in a fresh row.
+/// Columns that fill no block of their own are worked on as a block that has others, too.
 #[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
-pub fn blend_row(stretches: &[Stretch], left: &[f64], added: &[[f32; CHANNELS]], row: Places<'_>) {
+pub fn blend_row(
+    stretches: &[Stretch],
+    left: &[f64],
+    added: &[[f32; CHANNELS]],
+    row: Places<'_>,
+    fresh: bool,
+) {
     // of one length, for one check of both
     let left = &left[..added.len()];
     let blend = |x, transmittance: &mut [f64; PIXELS], counts: &mut [u32; PIXELS], sums: &mut _| {
-        let mut block = Block { transmittance: *transmittance, counts: *counts, sums: Weighted::load(sums) };
+        let mut block = if fresh {
+            Block::NONE
+        } else {
+            Block { transmittance: *transmittance, counts: *counts, sums: Weighted::load(sums) }
+        };
         pass(
             stretches,
             x,
@@ -218,11 +233,11 @@ pub fn blend_row(stretches: &[Stretch], left: &[f64], added: &[[f32; CHANNELS]],
     }
 }
 
-/// Adds `added[layer]` to the sums of another weight.
+/// Adds `added[layer]` to the sums of another weight, or to none in a fresh row.
 #[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
-pub fn add_row(stretches: &[Stretch], added: &[[f32; CHANNELS]], sums: &mut [[f32; CHANNELS]]) {
+pub fn add_row(stretches: &[Stretch], added: &[[f32; CHANNELS]], sums: &mut [[f32; CHANNELS]], fresh: bool) {
     let blend = |x, sums: &mut _| {
-        let mut block = Weighted::load(sums);
+        let mut block = if fresh { Weighted::NONE } else { Weighted::load(sums) };
         pass(
             stretches,
             x,
@@ -285,13 +300,17 @@ mod tests {
                 (0..30_u8).map(|i| if i % 4 == 0 { 1e-5 } else { f32::from(i) / 31.0 }).collect();
             let left: Vec<_> = alpha.iter().map(|&a| 1.0 - f64::from(a)).collect();
             let added: Vec<_> = alpha.iter().map(|a| [a * 0.3, a * 1e-3, a * 1e6, *a]).collect();
-            let (mut transmittance, mut counts) = (vec![1.0; pixels], vec![0; pixels]);
-            let (mut sums, mut coverage) = (vec![[0.0; 4]; pixels], vec![0.0; pixels]);
+            // what a fresh row held before is not looked at
+            let (mut transmittance, mut counts) = (vec![7.0; pixels], vec![7; pixels]);
+            let (mut sums, mut coverage) = (vec![[7.0; 4]; pixels], vec![0.0; pixels]);
             let (mut others, mut expected_coverage) = (sums.clone(), coverage.clone());
-            let places = Places { transmittance: &mut transmittance, counts: &mut counts, sums: &mut sums };
-            blend_row(&stretches, &left, &added, places);
-            add_row(&stretches, &added, &mut others);
-            cover_row(&stretches, &alpha, &mut coverage);
+            for (part, fresh) in [(&stretches[..20], true), (&stretches[20..], false)] {
+                let places =
+                    Places { transmittance: &mut transmittance, counts: &mut counts, sums: &mut sums };
+                blend_row(part, &left, &added, places, fresh);
+                add_row(part, &added, &mut others, fresh);
+                cover_row(part, &alpha, &mut coverage);
+            }
             for x in 0..pixels {
                 let (mut t, mut n, mut sum) = (1.0, 0, [0.0; 4]);
                 let column = i32::try_from(x).unwrap();
