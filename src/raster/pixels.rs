@@ -288,7 +288,12 @@ fn tiny_coverage(points: [(i32, i32); 3], sign: i32, bounds: &Rect) -> u64 {
         }
         row <<= 1;
     }
-    !u64::from_le_bytes(outside.map(|rows| rows as u8))
+    // written out: `map` is called, and not for the instruction set at hand
+    let mut bytes = [0; 8];
+    for (byte, rows) in bytes.iter_mut().zip(outside) {
+        *byte = rows as u8;
+    }
+    !u64::from_le_bytes(bytes)
 }
 
 /// A column and a row of the tile.

@@ -418,16 +418,16 @@ impl Chunk {
         let Scratch { touched, cursors, .. } = scratch;
         self.starts.resize(tiles + 1, 0);
         for (_, range) in touched.iter() {
-            range.tiles(columns).for_each(|tile| self.starts[tile + 1] += 1);
+            range.for_each(columns, |tile| self.starts[tile + 1] += 1);
         }
         let total = accumulate(&mut self.starts);
         self.entries.resize(total as usize, 0);
         cursors.clone_from(&self.starts);
         for (entry, range) in touched.iter() {
-            for tile in range.tiles(columns) {
+            range.for_each(columns, |tile| {
                 self.entries[cursors[tile] as usize] = *entry;
                 cursors[tile] += 1;
-            }
+            });
         }
     }
 

@@ -61,17 +61,22 @@ fn premultiplied(material: &Material, [r, g, b, a]: [f32; 4], light: f32) -> Pre
 }
 
 /// The one colour of a face of `mesh`, if that is easily told: [`Paint::new`] has it too.
-#[inline]
+#[inline(always)]
+#[expect(clippy::inline_always, reason = "set-up asks for every face")]
 pub fn flat(mesh: &Mesh, face: usize, light: f32) -> Option<Premultiplied> {
     let material = mesh.material();
     match mesh.colors() {
         _ if material.is_masked() => None,
         Colors::Mesh(color) => Some(premultiplied(material, *color, light)),
         Colors::Face(colors) => Some(premultiplied(material, colors[face], light)),
-        Colors::Vertex(_) => match Paint::new(mesh, face, light) {
-            Paint::Flat(color) => Some(color),
-            Paint::Varying(_) => None,
-        },
+        Colors::Vertex(_) => flat_of_corners(mesh, face, light),
+    }
+}
+
+fn flat_of_corners(mesh: &Mesh, face: usize, light: f32) -> Option<Premultiplied> {
+    match Paint::new(mesh, face, light) {
+        Paint::Flat(color) => Some(color),
+        Paint::Varying(_) => None,
     }
 }
 

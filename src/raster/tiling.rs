@@ -88,13 +88,14 @@ pub struct TileRange {
 }
 
 impl TileRange {
-    /// The tiles by their numbers, row by row.
-    pub fn tiles(self, columns: usize) -> impl Iterator<Item = usize> {
-        let row = move |y: u16| {
-            let first = usize::from(y) * columns;
-            first + usize::from(self.x0)..=first + usize::from(self.x1)
-        };
-        (self.y0..=self.y1).flat_map(row)
+    /// Calls `visit` with the tiles' numbers, row by row.
+    #[inline]
+    pub fn for_each(self, columns: usize, mut visit: impl FnMut(usize)) {
+        for y in usize::from(self.y0)..usize::from(self.y1) + 1 {
+            for x in usize::from(self.x0)..usize::from(self.x1) + 1 {
+                visit(y * columns + x);
+            }
+        }
     }
 }
 
