@@ -91,11 +91,10 @@ impl TileRange {
     /// Calls `visit` with the tiles' numbers, row by row.
     #[inline]
     pub fn for_each(self, columns: usize, mut visit: impl FnMut(usize)) {
-        for y in usize::from(self.y0)..usize::from(self.y1) + 1 {
-            for x in usize::from(self.x0)..usize::from(self.x1) + 1 {
-                visit(y * columns + x);
-            }
-        }
+        (self.y0..=self.y1).for_each(|y| {
+            let row = usize::from(y) * columns;
+            (self.x0..=self.x1).for_each(|x| visit(row + usize::from(x)));
+        });
     }
 }
 

@@ -217,12 +217,8 @@ fn spread<S: Sample>(cells: [&[f64]; 4], first: usize, ends: &[u32], colors: &mu
     for (cell, &end) in ends.iter().enumerate() {
         let end = end as usize - first;
         // written out: `map` may be called, and not for the instruction set at hand
-        let pixel = [
-            S::from_f64(r[cell]),
-            S::from_f64(g[cell]),
-            S::from_f64(b[cell]),
-            S::from_f64(share[cell]),
-        ];
+        let pixel =
+            [S::from_f64(r[cell]), S::from_f64(g[cell]), S::from_f64(b[cell]), S::from_f64(share[cell])];
         while next < end {
             let block = (colors[3 * next..].first_chunk_mut(), shares[next..].first_chunk_mut());
             if let (Some(colors), Some(shares)) = block {

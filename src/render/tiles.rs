@@ -243,7 +243,7 @@ impl Job<'_> {
             tally.variants[v].invalid_weights += sums.invalid(i);
         }
         plan.sums.iter().zip(sums.nanos()).for_each(|(&v, nanos)| tally.streamed(v, nanos));
-        let mut clock = Instant::now();
+        let mut laps = Laps::of(plan.sums.len());
         if let Some(cells) = sums.cells() {
             let all = 0..cells.count();
             tally.repeated_pixels += (rect.area() - all.end) as u64;
@@ -253,8 +253,9 @@ impl Job<'_> {
             for (i, &v) in plan.sums.iter().enumerate() {
                 sums.finish(i, all.clone(), background, pixels);
                 patch.fill(v, rect, cells, pixels);
-                tally.variants[v].nanos += lap(&mut clock);
+                tally.variants[v].nanos += laps.lap();
             }
+            tally.variants[plan.sums[0]].nanos += laps.rest();
             return;
         }
         let whole_rows = (BATCH_PIXELS / rect.width()).max(1) * rect.width();
@@ -264,16 +265,14 @@ impl Job<'_> {
             if !counted {
                 tally.count(sums.counts(batch.clone()));
             }
-            let alone = plan.sums.len() == 1;
-            let share = if alone { 0 } else { lap(&mut clock) / plan.sums.len() as u64 };
+            let share = laps.lap() / plan.sums.len() as u64;
             for (i, &v) in plan.sums.iter().enumerate() {
                 sums.finish(i, batch.clone(), background, pixels);
                 patch.store_finished(v, rect, first, pixels);
-                // reading the clock takes as long as some fifty pixels
-                let is_last = batch.end == rect.area();
-                tally.variants[v].nanos += if alone && !is_last { 0 } else { share + lap(&mut clock) };
+                tally.variants[v].nanos += share + laps.lap();
             }
         }
+        tally.variants[plan.sums[0]].nanos += laps.rest();
     }
 
     /// Stores what else was fed while rasterising.
@@ -432,9 +431,25 @@ fn store<S: Sample>(
     tally.variants[v].nanos += nanos_since(start);
 }
 
-/// The time since the last lap.
-fn lap(clock: &mut Instant) -> u64 {
-    let now = Instant::now();
-    let nanos = now.duration_since(std::mem::replace(clock, now)).as_nanos();
-    u64::try_from(nanos).unwrap_or(u64::MAX)
+/// Tells the variants' time apart, if they are several: reading the clock takes as long as some fifty pixels.
+struct Laps {
+    last: Instant,
+    several: bool,
+}
+
+impl Laps {
+    fn of(variants: usize) -> Self {
+        Self { last: Instant::now(), several: variants > 1 }
+    }
+
+    /// The time since the last lap; none where there is one variant, whose is all the [rest](Self::rest).
+    fn lap(&mut self) -> u64 {
+        if self.several { self.rest() } else { 0 }
+    }
+
+    fn rest(&mut self) -> u64 {
+        let nanos = nanos_since(self.last);
+        self.last = Instant::now();
+        nanos
+    }
 }
