@@ -24,8 +24,9 @@ impl Sample for f32 {
     const SHORTCUTS: bool = true;
 
     #[inline]
+    #[expect(clippy::cast_possible_truncation, reason = "rounding to the sample type is the point")]
     fn from_f64(value: f64) -> Self {
-        nearest(value)
+        value.clamp(f64::from(f32::MIN), f64::from(f32::MAX)) as f32
     }
     fn store(pixels: [&[f64]; 4], colors: &mut [[Self; 3]], shares: &mut [Self]) {
         store_f32(pixels, colors, shares);
@@ -63,17 +64,16 @@ impl Sample for f64 {
     }
 }
 
-#[inline(always)]
-#[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
-#[expect(clippy::cast_possible_truncation, reason = "rounding to the sample type is the point")]
-fn nearest(value: f64) -> f32 {
-    let largest = f64::from(f32::MAX);
-    let value = if value < largest { value } else { largest };
-    (if value > -largest { value } else { -largest }) as f32
-}
-
+/// [`Sample::from_f64`] of finite pixels, or infinite ones, many at a time.
 #[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
+#[expect(clippy::cast_possible_truncation, reason = "rounding to the sample type is the point")]
 fn store_f32([r, g, b, share]: [&[f64]; 4], colors: &mut [[f32; 3]], shares: &mut [f32]) {
+    let largest = f64::from(f32::MAX);
+    // `clamp` also keeps what is no number, which costs another comparison
+    let nearest = |value: f64| {
+        let value = if value < largest { value } else { largest };
+        (if value > -largest { value } else { -largest }) as f32
+    };
     // slices of one length need no checks, and the loops become ones of vectors across the pixels
     let pixels = colors.len();
     let (r, g, b, share) = (&r[..pixels], &g[..pixels], &b[..pixels], &share[..pixels]);

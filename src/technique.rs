@@ -51,7 +51,7 @@ pub struct FinishedPixels {
 }
 
 impl FinishedPixels {
-    /// Makes room for so many; those that are there already stay.
+    /// So many, each still to be written.
     pub fn resize(&mut self, pixels: usize) {
         if self.planes[0].len() < pixels {
             self.planes.iter_mut().for_each(|plane| plane.resize(pixels, 0.0));

@@ -104,6 +104,64 @@ def test_a_capture_gives_its_scenes_bits(small_scene: oitlab.Scene, technique: s
         np.testing.assert_array_equal(captured.fragment_count, direct.fragment_count)
 
 
+def _quads(rng: np.random.Generator, count: int, size: float, alphas: tuple[float, ...]) -> list[oitlab.Mesh]:
+    """Squares that face the camera of `_facing`, each with a depth and a colour of its own."""
+    at = np.column_stack([rng.uniform(-1.8, 1.8, (count, 2)), rng.uniform(-1, 1, count)])
+    corners = at[:, None] + size * np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)])
+    faces = (np.array([(0, 1, 2), (0, 2, 3)]) + 4 * np.arange(count)[:, None, None]).reshape(-1, 3)
+    colors = np.column_stack([rng.random((count, 3)), rng.choice(alphas, count)]).repeat(2, axis=0)
+    return [oitlab.Mesh(corners.reshape(-1, 3), faces, face_colors=colors)]
+
+
+def _facing(kind: str) -> oitlab.Scene:
+    """What makes the raster keep sums of cells, of a few rows at a time, or of the whole tile."""
+    rng = np.random.default_rng(3)
+    large = _quads(rng, 1, 3.0, (0.5,))
+    tilted = oitlab.Mesh([(-2, -2, -1), (2, -2, 1), (0, 2, 0)], [(0, 1, 2)], color=(0.2, 0.9, 0.4, 0.3))
+    meshes = {
+        "cells": large,
+        "rows": _quads(rng, 60, 0.7, (0.3, 0.9, 1e-4, 0.0, 1.0)),
+        "faint rows": _quads(rng, 60, 0.7, (1e-4, 3e-5)),
+        "few small ones": large + _quads(rng, 200, 0.04, (0.3, 1e-4)) + _quads(rng, 20, 0.7, (0.4,)),
+        "many small ones": large + _quads(rng, 9000, 0.06, (0.3, 1e-4)) + _quads(rng, 20, 0.7, (0.4,)),
+        "deep": _quads(rng, 1500, 0.9, (0.02, 1e-4)),
+        "pixels": [*_quads(rng, 60, 0.7, (0.3, 1e-4)), tilted, *_quads(rng, 60, 0.7, (0.3, 1e-4))],
+    }
+    return oitlab.Scene(meshes[kind], camera=oitlab.Camera(ortho_height=4), width=150, height=100)
+
+
+@pytest.mark.parametrize("skip", [True, False])
+@pytest.mark.parametrize(
+    "kind", ["cells", "rows", "faint rows", "few small ones", "many small ones", "deep", "pixels"]
+)
+def test_sums_have_the_bits_of_lists_however_they_are_kept(kind: str, skip: bool) -> None:
+    variants: list[Any] = ["wboit", ("wboit", {"weight": "inv_pow"}), "weighted_sum", "weighted_average"]
+    scene = _facing(kind)
+    lists = oitlab.capture(scene)
+    for one, other in zip(
+        oitlab.render_many(scene, variants, skip=skip), oitlab.render_many(lists, variants), strict=True
+    ):
+        np.testing.assert_array_equal(one.color, other.color)
+        np.testing.assert_array_equal(one.transmittance, other.transmittance)
+        assert one.stats.fragments == other.stats.fragments > 1000
+        assert one.stats.depth_complexity_max == other.stats.depth_complexity_max
+    alone = oitlab.render(scene, "wboit", skip=skip)
+    np.testing.assert_array_equal(alone.color, oitlab.render(lists, "wboit").color)
+
+
+def test_weights_see_the_sign_of_a_zero_alpha() -> None:
+    corners, faces = [(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)], [(0, 1, 2), (0, 2, 3)]
+
+    def emitter(alpha: float) -> oitlab.Mesh:
+        return oitlab.Mesh(corners, faces, color=(0.5, 0.5, 0.5, alpha), emission=(0.3, 0.2, 0.1))
+
+    meshes = [emitter(0.0), emitter(-0.0), oitlab.Mesh(corners, faces, color=(1, 1, 1, 0.5))]
+    scene = oitlab.Scene(meshes, camera=oitlab.Camera(ortho_height=2), width=20, height=20)
+    weight = {"weight": "select(1.0, 7.0, 1.0 / a > 0.0)"}
+    direct = oitlab.render(scene, "wboit", weight)
+    np.testing.assert_array_equal(direct.color, oitlab.render(oitlab.capture(scene), "wboit", weight).color)
+
+
 def test_capture_agrees_with_the_frame(small_scene: oitlab.Scene) -> None:
     fragments = oitlab.capture(small_scene, threads=1)
     frame = oitlab.render(small_scene, "a_buffer")

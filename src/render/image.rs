@@ -153,7 +153,8 @@ impl<S: Sample> Patch<'_, S> {
         self.rows(v, rect, first, pixels.len(), store);
     }
 
-    /// Stores one pixel of variant `v` in all places of a cell of the part `rect`, for each of its cells.
+    /// Stores one pixel of variant `v` in all places of a cell of the part `rect`, for each of its cells. As above, the
+    /// background has one share in all channels.
     pub fn fill(&mut self, v: usize, rect: &Rect, cells: &Cells, pixels: &FinishedPixels) {
         let mut rows = cells.rows();
         let store = |colors: &mut [[S; 3]], shares: &mut [S], _, now: Range<usize>| {
@@ -211,6 +212,7 @@ const BLOCK: usize = 8;
     dispatcher = "direct"
 )]
 fn spread<S: Sample>(cells: [&[f64]; 4], first: usize, ends: &[u32], colors: &mut [S], shares: &mut [S]) {
+    debug_assert_eq!(3 * shares.len(), colors.len());
     let [r, g, b, share] = cells;
     let (r, g, b, share) = (&r[..ends.len()], &g[..ends.len()], &b[..ends.len()], &share[..ends.len()]);
     let mut next = 0;
@@ -254,5 +256,41 @@ impl<S: Sample> BackgroundRow<S> {
     /// So many pixels.
     pub fn new(background: [f32; 3], pixels: usize) -> Self {
         Self { color: background.map(|c| S::from_f64(f64::from(c))).repeat(pixels) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn spread_is_each_cells_pixel<S: Sample + PartialEq + std::fmt::Debug>() {
+        let planes: Vec<Vec<f64>> =
+            (0..4).map(|plane| (0..70).map(|cell| f64::from(100 * plane + cell)).collect()).collect();
+        for columns in [1_usize, 7, 8, 9, 15, 16, 17, 64] {
+            for length in [1, 2, 7, 8, 9, 20, 64] {
+                let first = 5 * columns;
+                let ends: Vec<usize> =
+                    (1..=columns.div_ceil(length)).map(|n| (n * length).min(columns)).collect();
+                let cells = [0, 1, 2, 3].map(|plane: usize| &planes[plane][..ends.len()]);
+                let in_tile: Vec<_> = ends.iter().map(|end| u32::try_from(first + end).unwrap()).collect();
+                let (mut colors, mut shares) = (vec![S::default(); 3 * columns], vec![S::default(); columns]);
+                spread(cells, first, &in_tile, &mut colors, &mut shares);
+                for x in 0..columns {
+                    let sample = |plane: usize| S::from_f64(cells[plane][x / length]);
+                    assert_eq!(
+                        colors[3 * x..3 * x + 3],
+                        [sample(0), sample(1), sample(2)],
+                        "{columns} {length} {x}"
+                    );
+                    assert_eq!(shares[x], sample(3), "{columns} {length} {x}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn cells_fill_their_rows() {
+        spread_is_each_cells_pixel::<f32>();
+        spread_is_each_cells_pixel::<f64>();
     }
 }

@@ -431,7 +431,8 @@ fn store<S: Sample>(
     tally.variants[v].nanos += nanos_since(start);
 }
 
-/// Tells the variants' time apart, if they are several: reading the clock takes as long as some fifty pixels.
+/// A clock that tells the time of several variants apart. Of one alone it is read once, at the end: each reading takes as
+/// long as some fifty pixels.
 struct Laps {
     last: Instant,
     several: bool,
@@ -442,14 +443,15 @@ impl Laps {
         Self { last: Instant::now(), several: variants > 1 }
     }
 
-    /// The time since the last lap; none where there is one variant, whose is all the [rest](Self::rest).
+    /// The time since the last reading, where there are several variants.
     fn lap(&mut self) -> u64 {
         if self.several { self.rest() } else { 0 }
     }
 
+    /// All the time since the last reading.
     fn rest(&mut self) -> u64 {
-        let nanos = nanos_since(self.last);
-        self.last = Instant::now();
-        nanos
+        let now = Instant::now();
+        let nanos = now.duration_since(std::mem::replace(&mut self.last, now)).as_nanos();
+        u64::try_from(nanos).unwrap_or(u64::MAX)
     }
 }

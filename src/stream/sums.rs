@@ -104,9 +104,9 @@ impl Sums {
 
     /// The same for places where [`Pending::blend_rows`] does not look at what was there before.
     fn make_room(&mut self, places: usize) {
-        self.transmittance.resize(places, 1.0);
-        self.counts.resize(places, 0);
-        self.weighted.iter_mut().for_each(|sums| sums.resize(places, [0.0; 4]));
+        grow(&mut self.transmittance, places);
+        grow(&mut self.counts, places);
+        self.weighted.iter_mut().for_each(|sums| grow(sums, places));
         self.clear_coverage(places);
     }
 
@@ -115,7 +115,14 @@ impl Sums {
             self.coverage.fill(0.0);
             self.faint = false;
         }
-        self.coverage.resize(places, 0.0);
+        grow(&mut self.coverage, places);
+    }
+}
+
+/// So many numbers at least; whole tiles follow parts of them, and what has grown once need not again.
+fn grow<T: Copy + Default>(numbers: &mut Vec<T>, len: usize) {
+    if numbers.len() < len {
+        numbers.resize(len, T::default());
     }
 }
 
@@ -152,8 +159,9 @@ impl<'a> TileSums<'a> {
         self.kept = Kept::Nothing;
     }
 
-    /// Has to come after the last primitive: some may not have been blended yet. `share` says whether pixels
-    /// may share their sums: where the same is behind all of them.
+    /// Has to come after the last primitive. `share` says whether pixels may share their sums: where the same is
+    /// behind all of them. From here on there are either [cells](Self::cells), or pixels that have to be
+    /// [reached](Self::reach) before they are counted and finished.
     pub fn flush(&mut self, share: bool) {
         if self.weights.is_empty() {
             return;
@@ -173,7 +181,7 @@ impl<'a> TileSums<'a> {
         self.spent(start);
     }
 
-    /// Has to come before sums of these pixels, whole rows, are looked at.
+    /// Has to come before sums of these pixels, whole rows, are looked at, and may put an end to those of others.
     pub fn reach(&mut self, places: Range<usize>) {
         if let Kept::Rows(first) = &mut self.kept {
             *first = places.start;
@@ -226,7 +234,7 @@ impl<'a> TileSums<'a> {
         (self.kept == Kept::Cells).then_some(&self.cells)
     }
 
-    /// Fragments per pixel, or per pixel of a cell, of those that were reached.
+    /// Fragments per pixel of some that were reached, or per pixel of a cell.
     pub fn counts(&self, places: Range<usize>) -> &[u32] {
         &self.sums.counts[self.indices(places)]
     }
@@ -234,6 +242,7 @@ impl<'a> TileSums<'a> {
     /// Where in the sums these pixels or cells are.
     fn indices(&self, places: Range<usize>) -> Range<usize> {
         let first = if let Kept::Rows(first) = self.kept { first } else { 0 };
+        debug_assert!(places.start >= first, "{places:?} were not reached: {first}");
         places.start - first..places.end - first
     }
 

@@ -1,5 +1,5 @@
-//! Primitives that are the same everywhere, kept until there are many and then blended into one row of the tile
-//! after the other, or into its cells. A pixel gets its fragments in the same order.
+//! Primitives that are the same everywhere, kept until there are many, or until there are no more, and then blended into one
+//! row of the tile after the other, or into its cells. A pixel gets its fragments in the same order.
 
 use super::cells::Cells;
 use super::kernels::Places;
@@ -9,7 +9,7 @@ use crate::continuum::sums::FAINT;
 use crate::raster::{Cover, Premultiplied, Rect, Where};
 use std::ops::Range;
 
-/// Stretches that are worth keeping, at 12 bytes each.
+/// Stretches, neighbours joined, that are worth keeping, at 12 bytes each.
 const STRETCHES: usize = 1 << 13;
 /// Stretches up to which those of small primitives are, too.
 const FEW_STRETCHES: usize = 1 << 10;
@@ -25,7 +25,8 @@ pub struct Pending {
     added: Vec<Vec<[f32; 4]>>,
 }
 
-/// The primitives, one entry each; those that follow one that looks the same share its entry, as the halves of a quad do.
+/// What the primitives look like, one layer each; those that follow one that looks the same share its layer, as the halves of
+/// a quad do.
 #[derive(Default)]
 struct Layers {
     colors: Vec<Premultiplied>,
@@ -33,6 +34,7 @@ struct Layers {
     depth: Vec<f32>,
     /// What they leave of the background.
     left: Vec<f64>,
+    /// Of all primitives that share the layer.
     pixels: Vec<u64>,
     /// Whether any alpha is faint.
     faint: bool,
@@ -41,9 +43,11 @@ struct Layers {
 impl Layers {
     /// The index of the last layer if it looks like this, or of a new one.
     #[expect(clippy::cast_possible_truncation, reason = "far fewer primitives than 2^32 wait")]
-    fn put(&mut self, color: Premultiplied, z: f32, more: u64) -> u32 {
+    fn layer_of(&mut self, color: Premultiplied, z: f32, more: u64) -> u32 {
         let Self { colors, alpha, depth, left, pixels, faint } = self;
-        let same = colors.last() == Some(&color) && depth.last() == Some(&z);
+        // a weight of somebody's own may tell 0 and -0 apart
+        let same_alpha = alpha.last().is_some_and(|alpha| alpha.to_bits() == color[3].to_bits());
+        let same = same_alpha && colors.last() == Some(&color) && depth.last() == Some(&z);
         if let (true, Some(pixels)) = (same, pixels.last_mut()) {
             *pixels += more;
         } else {
@@ -93,7 +97,7 @@ impl Pending {
 
     /// Keeps a primitive of one colour, and one depth where weights look at it.
     pub fn push(&mut self, rect: &Rect, cover: &Cover<'_, '_>, color: Premultiplied) {
-        let layer = self.layers.put(color, cover.constant_depth.unwrap_or(1.0), cover.pixels as u64);
+        let layer = self.layers.layer_of(color, cover.constant_depth.unwrap_or(1.0), cover.pixels as u64);
         match cover.at {
             Where::Many(runs) => {
                 for run in runs {
@@ -191,5 +195,26 @@ impl Pending {
         pixels.clear();
         *faint = false;
         self.added.iter_mut().for_each(Vec::clear);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_what_looks_the_same_shares_a_layer() {
+        let mut layers = Layers::default();
+        let red = [0.5, 0.0, 0.0, 0.5];
+        assert_eq!([layers.layer_of(red, 2.0, 10), layers.layer_of(red, 2.0, 5)], [0, 0]);
+        assert!(!layers.faint);
+        assert_eq!(layers.layer_of(red, 3.0, 1), 1, "another depth");
+        assert_eq!(layers.layer_of([0.5, 0.0, 0.0, 0.25], 3.0, 1), 2, "another alpha");
+        assert_eq!(layers.layer_of([0.0, 0.5, 0.0, 0.25], 3.0, 1), 3, "another colour");
+        assert_eq!(layers.layer_of([0.0, 0.5, 0.0, 0.0], 3.0, 1), 4);
+        assert_eq!(layers.layer_of([0.0, 0.5, 0.0, -0.0], 3.0, 1), 5, "weights may see the sign");
+        assert_eq!(layers.layer_of(red, 2.0, 1), 6, "not the one before");
+        assert!(layers.faint);
+        assert_eq!(layers.pixels, [15, 1, 1, 1, 1, 1, 1]);
     }
 }

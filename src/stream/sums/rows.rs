@@ -14,13 +14,13 @@ const WIDTH: i32 = 16;
 /// Channels of so many pixels are in a register.
 const CHANNELS: usize = 4;
 
-/// One primitive's pixels in the row.
+/// Neighbouring pixels of the row in one layer: of a primitive, or of some that look the same.
 #[derive(Debug, Clone, Copy)]
 pub struct Stretch {
     /// Columns in the tile; one past the last.
     pub from: i32,
     pub to: i32,
-    /// Which of the primitives that wait.
+    /// Which of the layers that wait.
     pub layer: u32,
 }
 
@@ -289,6 +289,20 @@ mod tests {
             Stretch { from: a.min(b), to: a.max(b), layer }
         };
         (0..count).map(stretch).collect()
+    }
+
+    #[test]
+    fn neighbours_of_one_layer_join() {
+        let stretch = |from, to, layer| Stretch { from, to, layer };
+        let joined = |other: Stretch| {
+            let mut first = stretch(10, 20, 3);
+            first.join(&other).then_some((first.from, first.to))
+        };
+        assert_eq!(joined(stretch(20, 25, 3)), Some((10, 25)));
+        assert_eq!(joined(stretch(4, 10, 3)), Some((4, 20)));
+        assert_eq!(joined(stretch(20, 25, 2)), None, "another layer");
+        assert_eq!(joined(stretch(21, 25, 3)), None, "a gap");
+        assert_eq!(joined(stretch(19, 25, 3)), None, "covers a pixel twice");
     }
 
     #[test]
