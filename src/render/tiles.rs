@@ -255,21 +255,20 @@ impl Job<'_> {
                 patch.fill(v, rect, cells, pixels);
                 tally.variants[v].nanos += laps.lap();
             }
-            tally.variants[plan.sums[0]].nanos += laps.rest();
-            return;
-        }
-        let whole_rows = (BATCH_PIXELS / rect.width()).max(1) * rect.width();
-        for first in (0..rect.area()).step_by(whole_rows) {
-            let batch = first..(first + whole_rows).min(rect.area());
-            sums.reach(batch.clone());
-            if !counted {
-                tally.count(sums.counts(batch.clone()));
-            }
-            let share = laps.lap() / plan.sums.len() as u64;
-            for (i, &v) in plan.sums.iter().enumerate() {
-                sums.finish(i, batch.clone(), background, pixels);
-                patch.store_finished(v, rect, first, pixels);
-                tally.variants[v].nanos += share + laps.lap();
+        } else {
+            let whole_rows = (BATCH_PIXELS / rect.width()).max(1) * rect.width();
+            for first in (0..rect.area()).step_by(whole_rows) {
+                let batch = first..(first + whole_rows).min(rect.area());
+                sums.reach(batch.clone());
+                if !counted {
+                    tally.count(sums.counts(batch.clone()));
+                }
+                let share = laps.lap() / plan.sums.len() as u64;
+                for (i, &v) in plan.sums.iter().enumerate() {
+                    sums.finish(i, batch.clone(), background, pixels);
+                    patch.store_finished(v, rect, first, pixels);
+                    tally.variants[v].nanos += share + laps.lap();
+                }
             }
         }
         tally.variants[plan.sums[0]].nanos += laps.rest();
