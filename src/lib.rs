@@ -21,6 +21,7 @@ pub mod spare;
 pub mod stream;
 pub mod technique;
 pub mod techniques;
+pub mod threads;
 pub mod weight;
 
 pub use error::{Error, Result};

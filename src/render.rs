@@ -29,7 +29,8 @@ use crate::raster::{self, Raster};
 use crate::resolve::{Context, Resolver, Variant, nanos_since};
 use crate::scene::Scene;
 use crate::technique::{Batch, DepthComplexity};
-use image::{BackgroundRow, Patch, Target, VariantImage};
+use crate::threads::with_threads;
+use image::{Patch, Target, VariantImage};
 use plan::Plan;
 use rayon::prelude::*;
 use request::Asked;
@@ -134,19 +135,6 @@ pub fn render<S: Sample>(
 pub fn check(source: Source<'_>, requests: &[Request]) -> Result<()> {
     let view = source.provisional_view();
     requests.iter().try_for_each(|request| request.check()?.bind(&view).map(drop))
-}
-
-/// Runs `work` on so many threads, telling it how many they are.
-fn with_threads<T: Send>(threads: Option<usize>, work: impl FnOnce(usize) -> Result<T> + Send) -> Result<T> {
-    match threads {
-        None => work(rayon::current_num_threads()),
-        Some(0) => Err(Error::argument("threads", "0 is not a number >= 1, or None for all cores")),
-        Some(n) => {
-            let pool = rayon::ThreadPoolBuilder::new().num_threads(n).build();
-            let pool = pool.map_err(|e| Error::argument("threads", format!("{n} cannot be started: {e}")))?;
-            pool.install(|| work(n))
-        }
-    }
 }
 
 /// A render with everything decided: each different variant once, and which of them answers which request.
@@ -260,21 +248,20 @@ impl<'a> Job<'a> {
 
     /// Rasterises and resolves tile by tile.
     fn scene<S: Sample>(&self, raster: &Raster<'_>, mut target: Target<S>) -> Result<Finished<S>> {
-        let workers = Workers::default();
-        let nothing = BackgroundRow::new(raster.background(), self.options.tile_size as usize);
-        let columns = raster.columns();
-        let places = (0..raster.rows() * columns).map(|tile| (tile % columns, tile / columns));
-        let rects = places.map(|(column, row)| raster.rect(column, row));
-        let tally = target
-            .tiles(self.options.tile_size, rects)
-            .into_par_iter()
-            .enumerate()
-            .map(|(tile, mut patch)| {
-                let place = (tile % columns, tile / columns);
-                let work = |worker: &mut _| self.tile(raster, place, &nothing, &mut patch, worker);
-                workers.with(|| tiles::Worker::new(self), work)
-            })
-            .try_reduce(|| Tally::new(self.variants.len()), |a, b| Ok(a.merge(&b)))?;
+        let (workers, tile_size) = (Workers::default(), self.options.tile_size);
+        let tile = |place, mut patch: Patch<'_, S>| {
+            let work = |worker: &mut _| self.tile(raster, place, &mut patch, worker);
+            workers.with(|| tiles::Worker::new(self), work)
+        };
+        let nothing = || Tally::new(self.variants.len());
+        let both = |a: Tally, b| Ok(a.merge(&b));
+        // a band's tiles are cut where it is drawn, not one after the other for all threads
+        let bands = target.bands(tile_size).into_par_iter().enumerate().map(|(row, band)| {
+            let rects = (0..raster.columns()).map(|column| raster.rect(column, row));
+            let patches = band.tiles(tile_size, rects).into_par_iter().enumerate();
+            patches.map(|(column, patch)| tile((column, row), patch)).try_reduce(nothing, both)
+        });
+        let tally = bands.try_reduce(nothing, both)?;
         if (self.stop)() { Err(Error::Cancelled) } else { Ok(Finished { target, tally }) }
     }
 

@@ -71,10 +71,11 @@ def test_functions_of_this_process_reach_the_workers(small_scene, processes):
 
 @pytest.mark.skipif("fork" not in get_all_start_methods(), reason="this system does not fork")
 @pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning")
-def test_forked_processes_do_not_hang(small_scene, expected):
+@pytest.mark.parametrize("threads", [2, None])
+def test_forked_processes_do_not_hang(small_scene, expected, threads):
     oitlab.render(small_scene, "wboit")  # threads are there before the fork
     with ProcessPoolExecutor(2, mp_context=get_context("fork")) as pool:
-        table = sweep(small_scene, GRID, metrics=["mse", "bad_pixels"], executor=pool, threads=2)
+        table = sweep(small_scene, GRID, metrics=["mse", "bad_pixels"], executor=pool, threads=threads)
     pd.testing.assert_frame_equal(untimed(table), expected)
 
 

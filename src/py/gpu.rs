@@ -4,9 +4,9 @@ use super::custom::Named;
 use super::fragments::PyFragments;
 use super::frame::PyFrame;
 use super::function::Failures;
-#[cfg(feature = "gpu")]
-use super::run::interruptible;
 use super::run::{AnySource, options, requests};
+#[cfg(feature = "gpu")]
+use super::run::{On, interruptible};
 use super::scene::PyScene;
 use crate::gpu::form::tiled::RasterPath;
 use pyo3::prelude::*;
@@ -39,7 +39,7 @@ pub fn render_gpu<'py>(
     #[cfg(feature = "gpu")]
     {
         let shared = source.share();
-        let frames = interruptible(py, &failures, move |stop| {
+        let frames = interruptible(py, On::Own, &failures, move |stop| {
             crate::render::render_on_gpu(shared.as_source(), &requests, &options, raster, stop)
         })?;
         Ok(frames.into_iter().map(|frame| PyFrame::new(frame, source.share())).collect())
@@ -67,7 +67,7 @@ pub fn check_gpu<'py>(
     let raster = RasterPath::from_name(path)?;
     #[cfg(feature = "gpu")]
     {
-        interruptible(py, &failures, move |_| {
+        interruptible(py, On::Own, &failures, move |_| {
             crate::render::check_on_gpu(source.as_source(), &requests, raster, asks_device)
         })
     }
@@ -86,7 +86,7 @@ pub fn capture_gpu(py: Python<'_>, scene: &Bound<'_, PyScene>) -> PyResult<PyFra
         let (scene, options) = (Arc::clone(&scene.get().0), options(None, true)?);
         let work =
             move |stop: &(dyn Fn() -> bool + Sync)| crate::render::capture_on_gpu(&scene, &options, stop);
-        let fragments = interruptible(py, &Failures::default(), work)?;
+        let fragments = interruptible(py, On::Own, &Failures::default(), work)?;
         Ok(PyFragments(Arc::new(fragments)))
     }
     #[cfg(not(feature = "gpu"))]
@@ -101,7 +101,7 @@ pub fn capture_gpu(py: Python<'_>, scene: &Bound<'_, PyScene>) -> PyResult<PyFra
 pub fn gpu_info(py: Python<'_>) -> PyResult<Bound<'_, PyDict>> {
     #[cfg(feature = "gpu")]
     {
-        let info = interruptible(py, &Failures::default(), |_| crate::gpu::info())?;
+        let info = interruptible(py, On::Own, &Failures::default(), |_| crate::gpu::info())?;
         let dict = PyDict::new(py);
         for (name, text) in info.texts {
             dict.set_item(name, text)?;

@@ -15,6 +15,7 @@ use crate::render::{Options, Request, Source};
 use crate::scene::Scene;
 use crate::technique::DepthComplexity;
 use crate::techniques::REGISTRY;
+use crate::threads;
 use numpy::{PyArray1, PyArrayMethods, PyReadonlyArray1};
 use pyo3::exceptions::{PyRuntimeError, PyTypeError};
 use pyo3::prelude::*;
@@ -66,7 +67,7 @@ impl AnySource {
     /// Depth of the first fragment and number of fragments, per pixel.
     pub fn depth_images(&self, py: Python<'_>) -> PyResult<core::DepthImages> {
         let shared = self.share();
-        interruptible(py, &Failures::default(), move |stop| {
+        interruptible(py, On::Shared, &Failures::default(), move |stop| {
             core::depth_images(shared.as_source(), &Options::default(), stop)
         })
     }
@@ -84,11 +85,22 @@ impl AnySource {
 /// How often the interpreter is asked for pending signals.
 const SIGNAL_INTERVAL: Duration = Duration::from_millis(20);
 
+/// Which thread other than the interpreter's does the work.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum On {
+    /// One of those that all renders share, if it may be.
+    Shared,
+    /// One of its own, as for work that holds locks while it waits.
+    #[cfg_attr(not(feature = "gpu"), expect(dead_code, reason = "the GPU's"))]
+    Own,
+}
+
 /// Runs `work` on another thread, detached from the interpreter. On a signal such as Ctrl-C it is told to stop
 /// and left to wind down by itself, so that the interpreter has control again at once. It is also told to stop when a
 /// function of the user's own has raised something, which is raised again here.
 pub fn interruptible<T: Send + 'static>(
     py: Python<'_>,
+    on: On,
     failures: &Failures,
     work: impl FnOnce(&(dyn Fn() -> bool + Sync)) -> Result<T> + Send + 'static,
 ) -> PyResult<T> {
@@ -97,12 +109,18 @@ pub fn interruptible<T: Send + 'static>(
     let stopped = Arc::clone(&stop);
     let failed = failures.clone();
     let (sender, receiver) = channel();
-    std::thread::spawn(move || {
+    let work = move || {
         let stop = || stopped.load(Ordering::Relaxed) || failed.happened();
-        let result = catch_unwind(AssertUnwindSafe(|| work(&stop)));
+        catch_unwind(AssertUnwindSafe(|| work(&stop)))
+    };
+    let done = move |result| {
         // nobody listens any more after a signal
         _ = sender.send(result);
-    });
+    };
+    match on {
+        On::Shared => threads::start(work, done),
+        On::Own => _ = std::thread::spawn(move || done(work())),
+    }
     let result = py.detach(move || {
         loop {
             match receiver.recv_timeout(SIGNAL_INTERVAL) {
@@ -159,7 +177,7 @@ pub fn render<'py>(
     let requests = requests(variants, &failures)?;
     let options = options(threads, skip)?;
     let shared = source.share();
-    let frames = interruptible(py, &failures, move |stop| {
+    let frames = interruptible(py, On::Shared, &failures, move |stop| {
         let run = if float64 { core::render::<f64> } else { core::render::<f32> };
         run(shared.as_source(), &requests, &options, stop)
     })?;
@@ -193,7 +211,7 @@ pub fn diagnose<'py>(
     let shape = source.shape();
     let work =
         move |stop: &(dyn Fn() -> bool + Sync)| core::diagnose(source.as_source(), &requests, &options, stop);
-    let found = interruptible(py, &failures, work)?;
+    let found = interruptible(py, On::Shared, &failures, work)?;
     let dict = |diagnostics: core::Diagnostics| {
         let dict = PyDict::new(py);
         for (fault, amounts) in diagnostics.images {
@@ -216,8 +234,9 @@ pub fn diagnose<'py>(
 pub fn capture(py: Python<'_>, scene: &Bound<'_, PyScene>, threads: Option<i64>) -> PyResult<PyFragments> {
     let options = options(threads, true)?;
     let scene = Arc::clone(&scene.get().0);
-    let fragments =
-        interruptible(py, &Failures::default(), move |stop| core::capture(&scene, &options, stop))?;
+    let fragments = interruptible(py, On::Shared, &Failures::default(), move |stop| {
+        core::capture(&scene, &options, stop)
+    })?;
     Ok(PyFragments(Arc::new(fragments)))
 }
 
@@ -265,7 +284,7 @@ pub fn order_sensitivity<'py>(
     let fragments = Arc::clone(&fragments.get().0);
     let shape = [fragments.height as usize, fragments.width as usize];
     let shuffles = usize::try_from(n).unwrap_or(0);
-    let variance = interruptible(py, &failures, move |stop| {
+    let variance = interruptible(py, On::Shared, &failures, move |stop| {
         core::order_sensitivity(&fragments, &request, shuffles, seed, &options, stop)
     })?;
     Ok(PyArray1::from_vec(py, variance).reshape(shape)?.into_any())

@@ -1,10 +1,11 @@
 //! Rasterising into a fragment list that is kept.
 
-use super::{Options, with_threads};
+use super::Options;
 use crate::error::{Error, Result};
 use crate::fragments::{Background, Fragments, Lists};
 use crate::raster::{self, Order, Raster, Rect, Tile, TileLists};
 use crate::scene::Scene;
+use crate::threads::with_threads;
 use rayon::prelude::*;
 
 /// The fragments of every pixel of `scene`. Rendering them gives the same bits as rendering the scene.

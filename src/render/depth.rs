@@ -1,9 +1,10 @@
 //! Images of depth alone: the nearest fragment and the number of fragments of every pixel.
 
-use super::{Options, Source, Workers, with_threads};
+use super::{Options, Source, Workers};
 use crate::error::{Error, Result};
 use crate::raster::{Cover, Order, Raster, Rect, Sink, Tile};
 use crate::scene::Scene;
+use crate::threads::with_threads;
 use rayon::prelude::*;
 
 /// What is known of a pixel's fragments without looking at their colours.

@@ -1,6 +1,6 @@
 //! What went wrong with each pixel's numbers: everything is computed once more, for those who want to know.
 
-use super::{Options, PIECE_PIXELS, Request, Source, backgrounds, capture, piece, run_ends, with_threads};
+use super::{Options, PIECE_PIXELS, Request, Source, backgrounds, capture, piece, run_ends};
 use crate::diagnosis::{Diagnosis, Fault, Faults};
 use crate::error::{Error, Result};
 use crate::fragments::Fragments;
@@ -9,6 +9,7 @@ use crate::params::View;
 use crate::raster::{self, Raster, Rect};
 use crate::resolve::{Resolver, Variant};
 use crate::technique::Batch;
+use crate::threads::with_threads;
 use rayon::prelude::*;
 
 /// A technique's faults, each as an image.

@@ -4,7 +4,7 @@
 mod sources;
 
 use super::request::Asked;
-use super::{Options, Request, Source, with_threads};
+use super::{Options, Request, Source};
 use crate::error::{Error, Result};
 use crate::fragments::{Background, Fragments};
 use crate::frame::{Frame, Image, Sample, Stats, skipped};
@@ -17,6 +17,7 @@ use crate::raster::{self, Raster};
 use crate::resolve::Variant;
 use crate::scene::Scene;
 use crate::technique::DepthComplexity;
+use crate::threads::with_threads;
 use sources::{given, has_opaque, lists_of, opaque_surfaces, points, reordered, view_of};
 use std::sync::Arc;
 use std::time::Instant;

@@ -43,29 +43,19 @@ impl<S: Sample> Target<S> {
         Ok(Self { width, height, images: images.ok_or_else(fault)? })
     }
 
-    /// The buffers cut into square tiles, row by row of tiles.
-    pub fn tiles(&mut self, size: u32, rects: impl Iterator<Item = Rect>) -> Vec<Patch<'_, S>> {
-        let (width, size) = (self.width as usize, size as usize);
-        let columns = width.div_ceil(size);
-        let mut patches: Vec<_> = rects.map(|rect| Patch { rect, images: Vec::new() }).collect();
-        for image in &mut self.images {
-            for patch in &mut patches {
-                patch.images.push(PatchImage::new(image.channels, patch.rect.height()));
-            }
-            let v = patches.first().map_or(0, |patch| patch.images.len() - 1);
-            let channels = image.channels;
-            for (y, row) in image.color.chunks_mut(3 * width).enumerate() {
-                for (column, part) in row.chunks_mut(3 * size).enumerate() {
-                    patches[y / size * columns + column].images[v].color.push(part);
-                }
-            }
-            for (y, row) in image.transmittance.chunks_mut(channels * width).enumerate() {
-                for (column, part) in row.chunks_mut(channels * size).enumerate() {
-                    patches[y / size * columns + column].images[v].transmittance.push(part);
-                }
+    /// The buffers cut into bands of so many rows of pixels.
+    pub fn bands(&mut self, rows: u32) -> Vec<Band<'_, S>> {
+        let (width, rows) = (self.width as usize, rows as usize);
+        let bands = (self.height as usize).div_ceil(rows);
+        let mut bands: Vec<_> = (0..bands).map(|_| Band { width, images: Vec::new() }).collect();
+        for VariantImage { color, transmittance, channels } in &mut self.images {
+            let parts =
+                color.chunks_mut(3 * width * rows).zip(transmittance.chunks_mut(*channels * width * rows));
+            for (band, (color, transmittance)) in bands.iter_mut().zip(parts) {
+                band.images.push(BandImage { color, transmittance, channels: *channels });
             }
         }
-        patches
+        bands
     }
 
     /// The buffers cut after the given ascending numbers of pixels, each part as one long row, with its first
@@ -84,12 +74,10 @@ impl<S: Sample> Target<S> {
             for (_, patch) in &mut patches {
                 let pixels = patch.rect.width();
                 let mut part = PatchImage::new(image.channels, 1);
-                let (head, tail) = color.split_at_mut(3 * pixels);
-                part.color.push(head);
-                color = tail;
-                let (head, tail) = transmittance.split_at_mut(image.channels * pixels);
-                part.transmittance.push(head);
-                transmittance = tail;
+                let (color_head, color_tail) = color.split_at_mut(3 * pixels);
+                let (share_head, share_tail) = transmittance.split_at_mut(image.channels * pixels);
+                part.rows.push(Row { color: color_head, transmittance: share_head });
+                (color, transmittance) = (color_tail, share_tail);
                 patch.images.push(part);
             }
         }
@@ -107,6 +95,42 @@ fn buffer<S: Sample>(len: usize) -> Option<Vec<S>> {
     Some(vec![S::default(); len])
 }
 
+/// Some rows of all images.
+pub struct Band<'a, S> {
+    width: usize,
+    images: Vec<BandImage<'a, S>>,
+}
+
+/// Those of one image.
+struct BandImage<'a, S> {
+    color: &'a mut [S],
+    transmittance: &'a mut [S],
+    channels: usize,
+}
+
+impl<'a, S: Sample> Band<'a, S> {
+    /// The band cut into tiles of so many columns, which are these.
+    pub fn tiles(self, columns: u32, rects: impl Iterator<Item = Rect>) -> Vec<Patch<'a, S>> {
+        let (width, columns) = (self.width, columns as usize);
+        let images = self.images.len();
+        let mut patches: Vec<_> =
+            rects.map(|rect| Patch { rect, images: Vec::with_capacity(images) }).collect();
+        for (v, BandImage { color, transmittance, channels }) in self.images.into_iter().enumerate() {
+            for patch in &mut patches {
+                patch.images.push(PatchImage::new(channels, patch.rect.height()));
+            }
+            let rows = color.chunks_mut(3 * width).zip(transmittance.chunks_mut(channels * width));
+            for (color, transmittance) in rows {
+                let parts = color.chunks_mut(3 * columns).zip(transmittance.chunks_mut(channels * columns));
+                for (patch, (color, transmittance)) in patches.iter_mut().zip(parts) {
+                    patch.images[v].rows.push(Row { color, transmittance });
+                }
+            }
+        }
+        patches
+    }
+}
+
 /// A rectangle of all images, to be written by one thread.
 pub struct Patch<'a, S> {
     rect: Rect,
@@ -115,14 +139,19 @@ pub struct Patch<'a, S> {
 
 /// The rows of one image.
 struct PatchImage<'a, S> {
-    color: Vec<&'a mut [S]>,
-    transmittance: Vec<&'a mut [S]>,
+    rows: Vec<Row<'a, S>>,
     channels: usize,
+}
+
+/// Neighbouring pixels.
+struct Row<'a, S> {
+    color: &'a mut [S],
+    transmittance: &'a mut [S],
 }
 
 impl<S> PatchImage<'_, S> {
     fn new(channels: usize, rows: usize) -> Self {
-        Self { color: Vec::with_capacity(rows), transmittance: Vec::with_capacity(rows), channels }
+        Self { rows: Vec::with_capacity(rows), channels }
     }
 }
 
@@ -157,9 +186,17 @@ impl<S: Sample> Patch<'_, S> {
     /// background has one share in all channels.
     pub fn fill(&mut self, v: usize, rect: &Rect, cells: &Cells, pixels: &FinishedPixels) {
         let mut rows = cells.rows();
+        let mut buffer = RowBuffer::default();
         let store = |colors: &mut [[S; 3]], shares: &mut [S], _, now: Range<usize>| {
             if let Some(RowOfCells { places, ends }) = rows.next() {
-                spread(pixels.planes(places), now.start, ends, colors.as_flattened_mut(), shares);
+                spread(
+                    pixels.planes(places),
+                    now.start,
+                    ends,
+                    &mut buffer,
+                    colors.as_flattened_mut(),
+                    shares,
+                );
             }
         };
         self.rows(v, rect, 0, rect.area(), store);
@@ -175,7 +212,7 @@ impl<S: Sample> Patch<'_, S> {
         pixels: usize,
         mut store: impl FnMut(&mut [[S; 3]], &mut [S], usize, Range<usize>),
     ) {
-        let PatchImage { color, transmittance, channels } = &mut self.images[v];
+        let PatchImage { rows, channels } = &mut self.images[v];
         #[expect(clippy::cast_sign_loss, reason = "the part lies in the patch")]
         let (left, top) = ((rect.x0 - self.rect.x0) as usize, (rect.y0 - self.rect.y0) as usize);
         let (mut row, mut column) = (first / rect.width(), first % rect.width());
@@ -183,80 +220,110 @@ impl<S: Sample> Patch<'_, S> {
         while next < pixels {
             let now = next..pixels.min(next + rect.width() - column);
             let (from, to) = (left + column, left + column + now.len());
-            let colors = color[top + row][3 * from..3 * to].as_chunks_mut::<3>().0;
-            let shares = &mut transmittance[top + row][*channels * from..*channels * to];
+            let Row { color, transmittance } = &mut rows[top + row];
+            let colors = color[3 * from..3 * to].as_chunks_mut::<3>().0;
+            let shares = &mut transmittance[*channels * from..*channels * to];
             (row, column, next) = (row + 1, 0, now.end);
             store(colors, shares, *channels, now);
         }
     }
 
-    /// Fills everything with the background, of which `row` is a row at least as long.
-    pub fn clear(&mut self, row: &BackgroundRow<S>) {
-        for image in &mut self.images {
-            let rows = image.color.iter_mut().zip(&mut image.transmittance);
-            for (color, transmittance) in rows {
-                color.copy_from_slice(&row.color[..color.len()]);
-                transmittance.fill(S::from_f64(1.0));
-            }
+    /// Fills everything with the background.
+    pub fn clear(&mut self, background: [f32; 3]) {
+        let [r, g, b] = background.map(|channel| S::from_f64(channel.into()));
+        for row in self.images.iter_mut().flat_map(|image| &mut image.rows) {
+            clear_row([r, g, b, S::from_f64(1.0)], row.color, row.transmittance);
         }
     }
 }
 
 /// Pixels that are written together.
-const BLOCK: usize = 8;
+const BLOCK: usize = 16;
 
-/// Writes a row of cells, which begins with pixel `first` of the tile: each cell's pixel up to its end, in whole blocks where they
-/// fit, the ends of which the next cell writes over.
+/// The same pixel, a colour and a share, in a whole block.
+#[inline(always)]
+#[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+fn fill_block<S: Sample>(pixel: &[S; 4], colors: &mut [S; 3 * BLOCK], shares: &mut [S; BLOCK]) {
+    // a third of the colours at a time, in loops that become a shuffle of the pixel's channels each
+    for third in 0..3 {
+        let mut repeated = [S::default(); BLOCK];
+        for (i, sample) in repeated.iter_mut().enumerate() {
+            *sample = pixel[(third * BLOCK + i) % 3];
+        }
+        colors[third * BLOCK..(third + 1) * BLOCK].copy_from_slice(&repeated);
+    }
+    *shares = [pixel[3]; BLOCK];
+}
+
+/// Writes the same pixel everywhere in a row; its transmittance may have several channels.
 #[multiversion(
     targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"),
     dispatcher = "direct"
 )]
-fn spread<S: Sample>(cells: [&[f64]; 4], first: usize, ends: &[u32], colors: &mut [S], shares: &mut [S]) {
+fn clear_row<S: Sample>(pixel: [S; 4], colors: &mut [S], shares: &mut [S]) {
+    let (mut block, mut ones) = ([pixel[0]; 3 * BLOCK], [pixel[3]; BLOCK]);
+    fill_block(&pixel, &mut block, &mut ones);
+    let (blocks, rest) = colors.as_chunks_mut();
+    blocks.fill(block);
+    rest.copy_from_slice(&block[..rest.len()]);
+    shares.fill(pixel[3]);
+}
+
+/// A row of a tile that has cells, with room for a block behind it: whole blocks are written, the ends of which the next
+/// cell writes over.
+struct RowBuffer<S> {
+    /// A pixel of each cell.
+    cells: [[S; 4]; Cells::MOST_COLUMNS],
+    colors: [S; 3 * (Cells::MOST_COLUMNS + BLOCK)],
+    shares: [S; Cells::MOST_COLUMNS + BLOCK],
+}
+
+impl<S: Sample> Default for RowBuffer<S> {
+    fn default() -> Self {
+        let nothing = S::default();
+        Self {
+            cells: [[nothing; 4]; Cells::MOST_COLUMNS],
+            colors: [nothing; 3 * (Cells::MOST_COLUMNS + BLOCK)],
+            shares: [nothing; Cells::MOST_COLUMNS + BLOCK],
+        }
+    }
+}
+
+/// Writes a row of cells, which begins with pixel `first` of the tile: each cell's pixel up to its end.
+#[multiversion(
+    targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"),
+    dispatcher = "direct"
+)]
+fn spread<S: Sample>(
+    [r, g, b, share]: [&[f64]; 4],
+    first: usize,
+    ends: &[u32],
+    buffer: &mut RowBuffer<S>,
+    colors: &mut [S],
+    shares: &mut [S],
+) {
     debug_assert_eq!(3 * shares.len(), colors.len());
-    let [r, g, b, share] = cells;
+    let cells = &mut buffer.cells[..ends.len()];
     let (r, g, b, share) = (&r[..ends.len()], &g[..ends.len()], &b[..ends.len()], &share[..ends.len()]);
-    let mut next = 0;
-    for (cell, &end) in ends.iter().enumerate() {
-        let end = end as usize - first;
+    for (i, cell) in cells.iter_mut().enumerate() {
         // written out: `map` may be called, and not for the instruction set at hand
-        let pixel =
-            [S::from_f64(r[cell]), S::from_f64(g[cell]), S::from_f64(b[cell]), S::from_f64(share[cell])];
+        *cell = [S::from_f64(r[i]), S::from_f64(g[i]), S::from_f64(b[i]), S::from_f64(share[i])];
+    }
+    let mut next = 0;
+    for (cell, &end) in cells.iter().zip(ends) {
+        let end = end as usize - first;
         while next < end {
-            let block = (colors[3 * next..].first_chunk_mut(), shares[next..].first_chunk_mut());
+            let block =
+                (buffer.colors[3 * next..].first_chunk_mut(), buffer.shares[next..].first_chunk_mut());
             if let (Some(colors), Some(shares)) = block {
-                fill_block(pixel, colors, shares);
-            } else {
-                let [r, g, b, share] = pixel;
-                colors[3 * next..3 * end].as_chunks_mut().0.fill([r, g, b]);
-                shares[next..end].fill(share);
+                fill_block(cell, colors, shares);
             }
             next += BLOCK;
         }
         next = end;
     }
-}
-
-/// Four samples at a time, of which the next pixel writes over one: what three of them repeat would have to be put
-/// together first.
-#[inline(always)]
-#[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
-fn fill_block<S: Sample>(pixel: [S; 4], colors: &mut [S; 3 * BLOCK + 1], shares: &mut [S; BLOCK]) {
-    for place in 0..BLOCK {
-        colors[3 * place..3 * place + 4].copy_from_slice(&pixel);
-    }
-    *shares = [pixel[3]; BLOCK];
-}
-
-/// A row of pixels that nothing covers.
-pub struct BackgroundRow<S> {
-    color: Vec<S>,
-}
-
-impl<S: Sample> BackgroundRow<S> {
-    /// So many pixels.
-    pub fn new(background: [f32; 3], pixels: usize) -> Self {
-        Self { color: background.map(|c| S::from_f64(f64::from(c))).repeat(pixels) }
-    }
+    colors.copy_from_slice(&buffer.colors[..colors.len()]);
+    shares.copy_from_slice(&buffer.shares[..shares.len()]);
 }
 
 #[cfg(test)]
@@ -274,7 +341,7 @@ mod tests {
                 let cells = [0, 1, 2, 3].map(|plane: usize| &planes[plane][..ends.len()]);
                 let in_tile: Vec<_> = ends.iter().map(|end| u32::try_from(first + end).unwrap()).collect();
                 let (mut colors, mut shares) = (vec![S::default(); 3 * columns], vec![S::default(); columns]);
-                spread(cells, first, &in_tile, &mut colors, &mut shares);
+                spread(cells, first, &in_tile, &mut RowBuffer::default(), &mut colors, &mut shares);
                 for x in 0..columns {
                     let sample = |plane: usize| S::from_f64(cells[plane][x / length]);
                     assert_eq!(

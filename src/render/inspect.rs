@@ -1,13 +1,14 @@
 //! Looking inside a technique: its transmittance function at a pixel, and how much it depends on order.
 
 use super::request::Asked;
-use super::{Options, PIECE_PIXELS, Request, backgrounds, piece, run_ends, with_threads};
+use super::{Options, PIECE_PIXELS, Request, backgrounds, piece, run_ends};
 use crate::error::{Error, Result};
 use crate::fragments::Fragments;
 use crate::order::SubmissionOrder;
 use crate::params::View;
 use crate::resolve::{Context, Resolver, Variant, VariantTally};
 use crate::technique::{Batch, Cost, DepthComplexity, Resolved};
+use crate::threads::with_threads;
 use rayon::prelude::*;
 
 /// A pixel's transmittance strictly in front of some depths.

@@ -1,7 +1,7 @@
 //! From tiles to pixels: each tile's transparent fragments go into running states, into lists or both, and from
 //! there through the techniques.
 
-use super::image::{BackgroundRow, Patch};
+use super::image::Patch;
 use super::tally::Tally;
 use super::{Job, part_end};
 use crate::error::Result;
@@ -94,7 +94,6 @@ impl Job<'_> {
         &self,
         raster: &'r Raster<'_>,
         tile: (usize, usize),
-        nothing: &BackgroundRow<S>,
         patch: &mut Patch<'_, S>,
         worker: &mut Worker<'r, '_>,
     ) -> Result<Tally> {
@@ -103,7 +102,7 @@ impl Job<'_> {
         if self.options.skip && raster.is_empty_tile(tile.0, tile.1) {
             tally.empty_tiles = 1;
             tally.empty_pixels = rect.area() as u64;
-            patch.clear(nothing);
+            patch.clear(raster.background());
         } else {
             self.part(raster, tile, rect, worker, patch, &mut tally)?;
         }

@@ -173,7 +173,8 @@ impl<'a> TileSums<'a> {
         let start = Instant::now();
         self.pending.weigh(&mut self.weights, &mut self.weight);
         if share && self.pending.find_cells(&self.rect, &mut self.cells) {
-            self.keep_sums(Kept::Cells);
+            self.kept = Kept::Cells;
+            self.sums.make_room(self.cells.room());
             self.pending.blend_cells(&self.cells, &mut self.sums);
         } else {
             self.kept = Kept::Rows(0);
@@ -192,18 +193,18 @@ impl<'a> TileSums<'a> {
         }
     }
 
-    /// Clears the sums if there are none yet.
+    /// Clears the sums of all pixels if there are none yet.
     #[inline]
-    fn keep_sums(&mut self, of: Kept) {
+    fn keep_sums(&mut self) {
         if self.kept == Kept::Nothing {
-            self.kept = of;
-            self.sums.clear(if of == Kept::Cells { self.cells.count() } else { self.rect.area() });
+            self.kept = Kept::Pixels;
+            self.sums.clear(self.rect.area());
         }
     }
 
     fn flush_pending(&mut self) {
         if !self.pending.is_empty() {
-            self.keep_sums(Kept::Pixels);
+            self.keep_sums();
             let start = Instant::now();
             self.pending.weigh(&mut self.weights, &mut self.weight);
             self.pending.blend_rows(0..self.rect.height(), self.rect.width(), &mut self.sums, false);
@@ -278,7 +279,7 @@ impl<'r> Sink<'r> for TileSums<'_> {
             Some(color) if self.is_constant(cover) && self.may_wait(cover.at) => self.keep(cover, color),
             flat => {
                 self.flush_pending();
-                self.keep_sums(Kept::Pixels);
+                self.keep_sums();
                 let fused = self.take_first(cover);
                 self.blend(cover, flat, fused);
                 if self.deferred.is_wanted() {
@@ -337,10 +338,12 @@ impl TileSums<'_> {
         let start = stopwatch.start();
         weigh_flat(weighting, cover, color[3], &mut self.same_alpha, &mut self.weight);
         let Sums { weighted, transmittance, counts, .. } = &mut self.sums;
-        let places = Places { transmittance, counts, sums: &mut weighted[0] };
+        let sums = &mut weighted[0];
         match cover.at {
-            Where::Few(pixels) => blend_few(pixels.places(), &self.weight, color, places),
-            Where::Many(runs) => blend_flat(runs, &self.weight, color, places),
+            Where::Few(pixels) => {
+                blend_few(pixels.places(), &self.weight, color, Places { transmittance, counts, sums });
+            }
+            Where::Many(runs) => blend_flat(runs, &self.weight, color, transmittance, counts, sums),
         }
         stopwatch.stop(start);
         self.cover_if_faint(cover, color[3].into());

@@ -1,12 +1,15 @@
 //! Neighbouring pixels of a row that the same primitives cover, each the same everywhere, have the same sums: a cell of
 //! the tile. Where cells are far fewer than pixels, sums are kept and finished once per cell.
 
-use super::rows::Stretch;
+use super::rows::{BLOCK, Stretch};
 use crate::raster::Rect;
+use multiversion::multiversion;
 use std::ops::Range;
 
 /// Cells pay off from so many pixels per cell on, on average.
-const PIXELS_PER_CELL: usize = 8;
+const PIXELS_PER_CELL: usize = 4;
+/// Stretches are worth looking at where there are so many pixels to each, at least: those that are whole rows make no cells.
+const PIXELS_PER_STRETCH: usize = 2;
 
 /// How a tile falls into cells, row by row from the top.
 #[derive(Debug, Default)]
@@ -21,32 +24,43 @@ pub struct Cells {
 
 impl Cells {
     /// Tiles with more columns have no cells: a row's ends are the bits of a word.
-    const MOST_COLUMNS: usize = 64;
+    pub const MOST_COLUMNS: usize = 64;
 
     /// Finds the cells of the tile `rect` under so many stretches, row by row; false if they are too many to pay off.
     pub fn find(&mut self, rect: &Rect, rows: &[Vec<Stretch>], stretches: usize) -> bool {
-        let most = rect.area() / PIXELS_PER_CELL;
-        if rect.width() > Self::MOST_COLUMNS || stretches > most {
-            return false;
-        }
-        let ends = |stretch: &Stretch| bit(stretch.from) | bit(stretch.to);
+        let (most, columns) = (rect.area() / PIXELS_PER_CELL, rect.width());
+        columns <= Self::MOST_COLUMNS
+            && stretches <= rect.area() / PIXELS_PER_STRETCH
+            && find_cells(self, columns, rows, most)
+    }
+
+    /// Finds where cells begin; false if there are more than `most`.
+    #[inline(always)]
+    #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+    fn begin(&mut self, columns: usize, rows: &[Vec<Stretch>], most: usize) -> bool {
+        let inside = u64::MAX >> (Self::MOST_COLUMNS - columns);
         self.begins.clear();
-        self.begins.extend(rows.iter().map(|row| row.iter().fold(1, |bits, stretch| bits | ends(stretch))));
-        let inside = u64::MAX >> (Self::MOST_COLUMNS - rect.width());
         self.firsts.clear();
         let mut count = 0;
-        for begins in &mut self.begins {
-            *begins &= inside;
+        for row in rows {
+            let mut begins = 1;
+            for stretch in row {
+                begins |= bit(stretch.from) | bit(stretch.to);
+            }
+            begins &= inside;
+            self.begins.push(begins);
             self.firsts.push(count);
             count += begins.count_ones();
         }
         self.firsts.push(count);
-        count as usize <= most && self.list_ends(rect.width())
+        count as usize <= most
     }
 
-    /// True, for [`Cells::find`] to end with.
+    /// Finds where they end.
+    #[inline(always)]
+    #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
     #[expect(clippy::cast_possible_truncation, reason = "pixels of a tile")]
-    fn list_ends(&mut self, columns: usize) -> bool {
+    fn end(&mut self, columns: usize) {
         self.ends.clear();
         let mut row_end = 0;
         for begins in &self.begins {
@@ -60,14 +74,24 @@ impl Cells {
             }
             self.ends.push(row_end);
         }
-        true
     }
 
-    /// The cells of a stretch.
-    pub fn of(&self, row: usize, stretch: &Stretch) -> Range<usize> {
-        let before = |x| (self.begins[row] & (bit(x).wrapping_sub(1))).count_ones();
-        let first = self.firsts[row];
-        (first + before(stretch.from)) as usize..(first + before(stretch.to)) as usize
+    /// The stretches of a row as ones of that row's cells, which are counted from its first on, in place of those in
+    /// `in_cells`.
+    pub fn convert(&self, row: usize, stretches: &[Stretch], in_cells: &mut Vec<Stretch>) {
+        in_cells.clear();
+        convert(self.begins[row], stretches, in_cells);
+    }
+
+    /// Where a row's cells are among all, and as many more as make whole blocks.
+    pub fn blocks_of(&self, row: usize) -> Range<usize> {
+        let (first, end) = (self.firsts[row] as usize, self.firsts[row + 1] as usize);
+        first..first + (end - first).next_multiple_of(BLOCK)
+    }
+
+    /// How many places [`Cells::blocks_of`] all rows take.
+    pub fn room(&self) -> usize {
+        self.count() + BLOCK
     }
 
     /// How many there are.
@@ -87,6 +111,27 @@ impl Cells {
     }
 }
 
+/// Counting and finding bits are instructions of their own, which the baseline does not have.
+#[multiversion(targets("x86_64+avx2+popcnt+bmi1+bmi2"))]
+fn find_cells(cells: &mut Cells, columns: usize, rows: &[Vec<Stretch>], most: usize) -> bool {
+    let pays_off = cells.begin(columns, rows, most);
+    if pays_off {
+        cells.end(columns);
+    }
+    pays_off
+}
+
+/// The same for where stretches begin and end among the cells of a row.
+#[multiversion(targets("x86_64+avx2+popcnt+bmi1+bmi2"))]
+#[expect(clippy::cast_possible_wrap, reason = "columns of a tile")]
+fn convert(begins: u64, stretches: &[Stretch], in_cells: &mut Vec<Stretch>) {
+    for stretch in stretches {
+        let from = (begins & bit(stretch.from).wrapping_sub(1)).count_ones() as i32;
+        let to = (begins & bit(stretch.to).wrapping_sub(1)).count_ones() as i32;
+        in_cells.push(Stretch { from, to, ..*stretch });
+    }
+}
+
 /// The cells of a row of the tile.
 pub struct RowOfCells<'a> {
     /// Which they are among all.
@@ -96,6 +141,8 @@ pub struct RowOfCells<'a> {
 }
 
 /// The bit of a column; none beyond the last that a word has, whose predecessor is all bits.
+#[inline(always)]
+#[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
 fn bit(x: i32) -> u64 {
     1_u64.checked_shl(x.cast_unsigned()).unwrap_or(0)
 }
@@ -125,8 +172,14 @@ mod tests {
         assert_eq!(cells.pixels().collect::<Vec<_>>(), [64, 2, 10, 52, 64, 63, 1]);
         let of_rows: Vec<_> = cells.rows().map(|row| (row.places, row.ends)).collect();
         assert_eq!(of_rows, [(0..1, &[64][..]), (1..4, &[66, 76, 128]), (4..5, &[192]), (5..7, &[255, 256])]);
-        let of = |row: usize, i: usize| cells.of(row, &rows[row][i]);
-        assert_eq!([of(0, 0), of(1, 0), of(1, 1), of(3, 0)], [0..1, 2..4, 2..3, 6..7]);
+        let mut in_cells = Vec::new();
+        let mut of = |row: usize| {
+            cells.convert(row, &rows[row], &mut in_cells);
+            in_cells.iter().map(|stretch| (stretch.from, stretch.to)).collect::<Vec<_>>()
+        };
+        assert_eq!([of(0), of(1), of(2), of(3)], [vec![(0, 1)], vec![(1, 3), (1, 2)], vec![], vec![(1, 2)]]);
+        assert_eq!([cells.blocks_of(1), cells.blocks_of(3)], [1..17, 5..21]);
+        assert!(cells.room() >= 21);
     }
 
     #[test]
@@ -135,7 +188,8 @@ mod tests {
         let mut cells = Cells::default();
         assert!(find(&mut cells, &rect, &rows([&[], &[(0, 9)]])));
         assert_eq!(cells.pixels().collect::<Vec<_>>(), [9, 9]);
-        assert!(!find(&mut cells, &rect, &rows([&[], &[(2, 3)]])), "4 cells of 18 pixels");
+        assert!(find(&mut cells, &rect, &rows([&[], &[(2, 3)]])), "4 cells of 18 pixels");
+        assert!(!find(&mut cells, &rect, &rows([&[(1, 2)], &[(2, 3)]])), "6 cells of 18 pixels");
     }
 
     #[test]
@@ -143,8 +197,9 @@ mod tests {
         let mut cells = Cells::default();
         assert!(!find(&mut cells, &Rect { x1: 193, ..RECT }, &rows([&[], &[], &[], &[]])));
         let crowd: Vec<_> = (0..60).map(|x| (1 + x, 4 + x)).collect();
-        assert!(find(&mut cells, &RECT, &rows([&[], &crowd[..20], &[], &[]])));
-        assert!(!find(&mut cells, &RECT, &rows([&[], &crowd[..32], &[], &[]])), "39 cells");
-        assert!(!find(&mut cells, &RECT, &rows([&[(0, 1); 33], &[], &[], &[]])), "too many to look at");
+        assert!(find(&mut cells, &RECT, &rows([&[], &crowd[..57], &[], &[]])), "64 cells");
+        assert!(!find(&mut cells, &RECT, &rows([&[], &crowd[..58], &[], &[]])), "65 cells");
+        assert!(find(&mut cells, &RECT, &rows([&[(0, 64); 128], &[], &[], &[]])));
+        assert!(!find(&mut cells, &RECT, &rows([&[(0, 64); 129], &[], &[], &[]])), "too many to look at");
     }
 }

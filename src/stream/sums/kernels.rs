@@ -13,8 +13,14 @@ pub struct Places<'a> {
 
 /// Attenuates the background, counts the fragments, and adds the weights times one colour, in one go.
 #[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
-pub fn blend_flat(runs: &[Run], mut weights: &[f32], color: Premultiplied, places: Places<'_>) {
-    let Places { transmittance, counts, sums } = places;
+pub fn blend_flat(
+    runs: &[Run],
+    mut weights: &[f32],
+    color: Premultiplied,
+    transmittance: &mut [f64],
+    counts: &mut [u32],
+    sums: &mut [[f32; 4]],
+) {
     let left = 1.0 - f64::from(color[3]);
     for run in runs {
         let (now, later) = weights.split_at(run.len as usize);

@@ -11,6 +11,8 @@ use std::ops::Range;
 
 /// Stretches, neighbours joined, that are worth keeping, at 12 bytes each.
 const STRETCHES: usize = 1 << 13;
+/// Room that rows have from the start.
+const STRETCHES_OF_A_ROW: usize = 32;
 /// Stretches up to which those of small primitives are, too.
 const FEW_STRETCHES: usize = 1 << 10;
 
@@ -23,6 +25,8 @@ pub struct Pending {
     layers: Layers,
     /// What each layer adds to the sums, weight by weight.
     added: Vec<Vec<[f32; 4]>>,
+    /// The stretches of one row, in cells.
+    in_cells: Vec<Stretch>,
 }
 
 /// What the primitives look like, one layer each; those that follow one that looks the same share its layer, as the halves of
@@ -72,7 +76,7 @@ impl Pending {
     /// Begins with a tile of so many rows.
     pub fn begin(&mut self, rows: usize) {
         self.clear();
-        self.rows.resize_with(rows, Vec::new);
+        self.rows.resize_with(rows, || Vec::with_capacity(STRETCHES_OF_A_ROW));
     }
 
     /// Finds the cells of the tile `rect` under all that waits; false if they are too many to pay off.
@@ -141,45 +145,36 @@ impl Pending {
     /// Blends what waits in these rows of the tile, in the order in which it came, into the sums of their pixels, or into
     /// none where the rows are fresh.
     pub fn blend_rows(&self, rows: Range<usize>, columns: usize, sums: &mut Sums, fresh: bool) {
-        let Layers { left, alpha, faint, .. } = &self.layers;
-        let Sums { weighted, transmittance, coverage, counts, faint: any_faint } = sums;
-        *any_faint |= faint;
         for (row, stretches) in self.rows[rows].iter().enumerate() {
-            let pixels = row * columns..(row + 1) * columns;
-            let mut weighted = weighted.iter_mut().map(|sums| &mut sums[pixels.clone()]).zip(&self.added);
-            if let Some((sums, added)) = weighted.next() {
-                let transmittance = &mut transmittance[pixels.clone()];
-                let row = Places { transmittance, counts: &mut counts[pixels.clone()], sums };
-                blend_row(stretches, left, added, row, fresh);
-            }
-            weighted.for_each(|(sums, added)| add_row(stretches, added, sums, fresh));
-            if *faint {
-                cover_row(stretches, alpha, &mut coverage[pixels]);
-            }
+            self.blend(stretches, row * columns..(row + 1) * columns, sums, fresh);
         }
     }
 
-    /// Blends everything that waits into the sums of the tile's cells.
-    pub fn blend_cells(&self, cells: &Cells, sums: &mut Sums) {
+    /// Blends everything that waits into fresh sums of the tile's cells, for which there is [room](Cells::room).
+    pub fn blend_cells(&mut self, cells: &Cells, sums: &mut Sums) {
+        let mut in_cells = std::mem::take(&mut self.in_cells);
+        for (row, stretches) in self.rows.iter().enumerate() {
+            cells.convert(row, stretches, &mut in_cells);
+            // whole blocks, the ends of which the next row writes over
+            self.blend(&in_cells, cells.blocks_of(row), sums, true);
+        }
+        self.in_cells = in_cells;
+    }
+
+    /// Blends stretches of one row into the sums in these places.
+    fn blend(&self, stretches: &[Stretch], places: Range<usize>, sums: &mut Sums, fresh: bool) {
         let Layers { left, alpha, faint, .. } = &self.layers;
         let Sums { weighted, transmittance, coverage, counts, faint: any_faint } = sums;
-        *any_faint |= faint;
-        for (row, stretches) in self.rows.iter().enumerate() {
-            for stretch in stretches {
-                let (places, layer) = (cells.of(row, stretch), stretch.layer as usize);
-                transmittance[places.clone()].iter_mut().for_each(|t| *t *= left[layer]);
-                counts[places.clone()].iter_mut().for_each(|n| *n += 1);
-                for (sums, added) in weighted.iter_mut().zip(&self.added) {
-                    let added = added[layer];
-                    for sum in &mut sums[places.clone()] {
-                        *sum = std::array::from_fn(|channel| sum[channel] + added[channel]);
-                    }
-                }
-                let covers = f64::from(alpha[layer]);
-                if *faint && covers <= FAINT {
-                    coverage[places].iter_mut().for_each(|c| *c += (1.0 - *c) * covers);
-                }
-            }
+        let mut weighted = weighted.iter_mut().map(|sums| &mut sums[places.clone()]).zip(&self.added);
+        if let Some((sums, added)) = weighted.next() {
+            let transmittance = &mut transmittance[places.clone()];
+            let row = Places { transmittance, counts: &mut counts[places.clone()], sums };
+            blend_row(stretches, left, added, row, fresh);
+        }
+        weighted.for_each(|(sums, added)| add_row(stretches, added, sums, fresh));
+        if *faint {
+            *any_faint = true;
+            cover_row(stretches, alpha, &mut coverage[places]);
         }
     }
 

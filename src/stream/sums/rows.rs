@@ -9,7 +9,8 @@ use crate::continuum::sums::FAINT;
 use multiversion::multiversion;
 
 /// Pixels whose sums are in registers together.
-const PIXELS: usize = 16;
+pub const BLOCK: usize = 16;
+const PIXELS: usize = BLOCK;
 const WIDTH: i32 = 16;
 /// Channels of so many pixels are in a register.
 const CHANNELS: usize = 4;
