@@ -94,9 +94,9 @@ impl Pending {
         self.stretches >= STRETCHES
     }
 
-    /// Whether small primitives may be kept: something waits, but not much.
+    /// Whether small primitives may be kept: not much waits.
     pub fn has_room_for_few(&self) -> bool {
-        (1..FEW_STRETCHES).contains(&self.stretches)
+        self.stretches < FEW_STRETCHES
     }
 
     /// Keeps a primitive of one colour, and one depth where weights look at it.
