@@ -188,10 +188,12 @@ class TechniqueTable(Sequence[TechniqueInfo]):
     True
     """
 
-    __slots__ = ("_entries",)
+    __slots__ = ("_by_name", "_entries")
 
     def __init__(self, entries: Iterable[TechniqueInfo]) -> None:
         self._entries = tuple(entries)
+        names = [(name, entry) for entry in self._entries for name in (entry.id, *entry.aliases)]
+        self._by_name = dict(reversed(names))  # the first of a name counts
 
     @property
     def ids(self) -> tuple[str, ...]:
@@ -214,7 +216,7 @@ class TechniqueTable(Sequence[TechniqueInfo]):
 
     def get(self, key: str) -> TechniqueInfo | None:
         """Find a technique by id or alias; None when there is none."""
-        return next((entry for entry in self._entries if key == entry.id or key in entry.aliases), None)
+        return self._by_name.get(key)
 
     def __contains__(self, item: object) -> bool:
         return self.get(item) is not None if isinstance(item, str) else item in self._entries

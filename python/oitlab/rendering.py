@@ -357,14 +357,19 @@ def _threads(threads: int | None) -> int | None:
     return None if threads is None else count(threads, "threads")
 
 
+_FLOAT32, _FLOAT64 = np.dtype(np.float32), np.dtype(np.float64)
+
+
 def _is_float64(dtype: Any) -> bool:
-    try:
-        name = "" if dtype is None else str(np.dtype(dtype))  # NumPy takes None for float64
-    except TypeError:
-        name = ""
-    if name not in ("float32", "float64"):
-        raise ValueError(f"dtype must be 'float32' or 'float64', got {dtype!r}")
-    return name == "float64"
+    if dtype is not None:  # NumPy takes None for float64
+        try:
+            asked = np.dtype(dtype)
+        except TypeError:
+            asked = np.dtype(object)
+        for known, is_float64 in ((_FLOAT32, False), (_FLOAT64, True)):
+            if asked == known:
+                return is_float64
+    raise ValueError(f"dtype must be 'float32' or 'float64', got {dtype!r}")
 
 
 def _diagnosed(frame: Frame, images: dict[str, Any]) -> Frame:
