@@ -29,13 +29,13 @@ use crate::raster::{self, Raster};
 use crate::resolve::{Context, Resolver, Variant, nanos_since};
 use crate::scene::Scene;
 use crate::technique::{Batch, DepthComplexity};
-use crate::threads::with_threads;
+use crate::threads::{Lent, Workers, with_threads};
 use image::{Patch, Target, VariantImage};
 use plan::Plan;
 use rayon::prelude::*;
 use request::Asked;
 use std::ops::Range;
-use std::sync::{Arc, Mutex};
+use std::sync::Arc;
 use std::time::Instant;
 use tally::Tally;
 
@@ -163,27 +163,6 @@ struct Finished<S> {
     tally: Tally,
 }
 
-/// Working memories waiting for a tile.
-struct Workers<T>(Mutex<Vec<T>>);
-
-impl<T> Default for Workers<T> {
-    fn default() -> Self {
-        Self(Mutex::new(Vec::new()))
-    }
-}
-
-impl<T> Workers<T> {
-    fn with<R>(&self, new: impl FnOnce() -> T, work: impl FnOnce(&mut T) -> R) -> R {
-        let idle = self.0.lock().map_or_else(|_| None, |mut idle| idle.pop());
-        let mut worker = idle.unwrap_or_else(new);
-        let result = work(&mut worker);
-        if let Ok(mut idle) = self.0.lock() {
-            idle.push(worker);
-        }
-        result
-    }
-}
-
 impl<'a> Job<'a> {
     fn new<S: Sample>(
         source: Source<'_>,
@@ -248,18 +227,18 @@ impl<'a> Job<'a> {
 
     /// Rasterises and resolves tile by tile.
     fn scene<S: Sample>(&self, raster: &Raster<'_>, mut target: Target<S>) -> Result<Finished<S>> {
-        let (workers, tile_size) = (Workers::default(), self.options.tile_size);
-        let tile = |place, mut patch: Patch<'_, S>| {
-            let work = |worker: &mut _| self.tile(raster, place, &mut patch, worker);
-            workers.with(|| tiles::Worker::new(self), work)
-        };
+        let tile_size = self.options.tile_size;
+        let workers = Workers::new(|| tiles::Worker::new(self));
         let nothing = || Tally::new(self.variants.len());
         let both = |a: Tally, b| Ok(a.merge(&b));
         // a band's tiles are cut where it is drawn, not one after the other for all threads
         let bands = target.bands(tile_size).into_par_iter().enumerate().map(|(row, band)| {
             let rects = (0..raster.columns()).map(|column| raster.rect(column, row));
+            let draw = |worker: &mut Lent<'_, _, _>, (column, mut patch): (_, Patch<'_, S>)| {
+                self.tile(raster, (column, row), &mut patch, worker.get())
+            };
             let patches = band.tiles(tile_size, rects).into_par_iter().enumerate();
-            patches.map(|(column, patch)| tile((column, row), patch)).try_reduce(nothing, both)
+            patches.map_init(|| workers.lend(), draw).try_reduce(nothing, both)
         });
         let tally = bands.try_reduce(nothing, both)?;
         if (self.stop)() { Err(Error::Cancelled) } else { Ok(Finished { target, tally }) }
@@ -269,31 +248,27 @@ impl<'a> Job<'a> {
     fn fragments<S: Sample>(&self, fragments: &Fragments, mut target: Target<S>) -> Result<Finished<S>> {
         let rows = fragments.lists.as_ref();
         let ends = run_ends(fragments, PIECE_PIXELS, self.options.max_fragments);
-        let workers = Workers::default();
-        let new_worker = || (Resolver::default(), vec![Vec::new(); self.variants.len()], Vec::new());
-        let run = |(first, mut patch): (usize, Patch<'_, S>)| {
+        let workers =
+            Workers::new(|| (Resolver::default(), vec![Vec::new(); self.variants.len()], Vec::new()));
+        let run = |lent: &mut Lent<'_, _, _>, (first, mut patch): (usize, Patch<'_, S>)| {
             let rect = patch.rect();
             let last = first + rect.width();
             let background = backgrounds(fragments, first..last);
             let batch = piece(fragments, first..last, &background);
-            workers.with(new_worker, |(resolver, resolved, counts)| {
-                let mut tally = Tally::new(self.variants.len());
-                counts.clear();
-                #[expect(
-                    clippy::cast_possible_truncation,
-                    reason = "a pixel's list is far shorter than 2^32"
-                )]
-                counts.extend((first..last).map(|i| rows.count(i) as u32));
-                tally.count(counts);
-                resolver.run(&self.context(&self.plan.listed), &batch, 0, resolved, &mut tally.variants)?;
-                resolved.iter().enumerate().for_each(|(v, pixels)| patch.store(v, &rect, 0, pixels));
-                Ok(tally)
-            })
+            let (resolver, resolved, counts): &mut (Resolver, Vec<_>, Vec<u32>) = lent.get();
+            let mut tally = Tally::new(self.variants.len());
+            counts.clear();
+            #[expect(clippy::cast_possible_truncation, reason = "a pixel's list is far shorter than 2^32")]
+            counts.extend((first..last).map(|i| rows.count(i) as u32));
+            tally.count(counts);
+            resolver.run(&self.context(&self.plan.listed), &batch, 0, resolved, &mut tally.variants)?;
+            resolved.iter().enumerate().for_each(|(v, pixels)| patch.store(v, &rect, 0, pixels));
+            Ok(tally)
         };
         let tally = target
             .runs(&ends)
             .into_par_iter()
-            .map(run)
+            .map_init(|| workers.lend(), run)
             .try_reduce(|| Tally::new(self.variants.len()), |a, b| Ok(a.merge(&b)))?;
         if (self.stop)() { Err(Error::Cancelled) } else { Ok(Finished { target, tally }) }
     }

@@ -1,8 +1,8 @@
 //! Where work runs: on the threads that all renders share, or on some of its own.
 
 use crate::error::{Error, Result};
-use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Mutex, OnceLock};
 
 /// Runs `work` on so many threads, or on those that all renders share, telling it how many they are.
 ///
@@ -50,10 +50,52 @@ pub fn start<T>(work: impl FnOnce() -> T + Send + 'static, done: impl FnOnce(T) 
     });
 }
 
+/// Working memories that threads lend each other, no more than were ever needed at a time.
+pub struct Workers<T, N> {
+    idle: Mutex<Vec<T>>,
+    new: N,
+}
+
+impl<T, N: Fn() -> T> Workers<T, N> {
+    /// None yet; `new` makes one.
+    pub fn new(new: N) -> Self {
+        Self { idle: Mutex::new(Vec::new()), new }
+    }
+
+    /// One of them for a run of tasks, such as rayon's `map_init` hands out: one lock for all of them.
+    pub fn lend(&self) -> Lent<'_, T, N> {
+        Lent { from: self, worker: None }
+    }
+}
+
+/// A working memory that goes back when it is dropped.
+pub struct Lent<'a, T, N> {
+    from: &'a Workers<T, N>,
+    worker: Option<T>,
+}
+
+impl<T, N: Fn() -> T> Lent<'_, T, N> {
+    /// The working memory, taken or made when it is first asked for.
+    pub fn get(&mut self) -> &mut T {
+        let Self { from, worker } = self;
+        let idle = || from.idle.lock().map_or(None, |mut idle| idle.pop());
+        worker.get_or_insert_with(|| idle().unwrap_or_else(&from.new))
+    }
+}
+
+impl<T, N> Drop for Lent<'_, T, N> {
+    fn drop(&mut self) {
+        if let (Some(worker), Ok(mut idle)) = (self.worker.take(), self.from.idle.lock()) {
+            idle.push(worker);
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use rayon::prelude::*;
+    use std::sync::atomic::AtomicUsize;
     use std::sync::mpsc::channel;
     use std::time::Duration;
 
@@ -84,5 +126,20 @@ mod tests {
         assert_eq!(with_threads(None, Ok).unwrap(), rayon::current_num_threads());
         let refused = with_threads(Some(0), Ok).unwrap_err().to_string();
         assert!(refused.contains("threads") && refused.contains("0 is not"), "{refused}");
+    }
+
+    #[test]
+    fn working_memories_go_back_and_are_made_only_where_they_are_used() {
+        let made = AtomicUsize::new(0);
+        let workers = Workers::new(|| made.fetch_add(1, Ordering::Relaxed));
+        drop(workers.lend());
+        assert_eq!(made.load(Ordering::Relaxed), 0);
+        let (mut a, mut b) = (workers.lend(), workers.lend());
+        assert_eq!([*a.get(), *b.get(), *a.get()], [0, 1, 0]);
+        drop((a, b));
+        let numbers: Vec<usize> =
+            (0..100).into_par_iter().map_init(|| workers.lend(), |lent, _| *lent.get()).collect();
+        assert_eq!(numbers.len(), 100);
+        assert!(made.load(Ordering::Relaxed) <= 2 + rayon::current_num_threads());
     }
 }

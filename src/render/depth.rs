@@ -1,10 +1,10 @@
 //! Images of depth alone: the nearest fragment and the number of fragments of every pixel.
 
-use super::{Options, Source, Workers};
+use super::{Options, Source};
 use crate::error::{Error, Result};
 use crate::raster::{Cover, Order, Raster, Rect, Sink, Tile};
 use crate::scene::Scene;
-use crate::threads::with_threads;
+use crate::threads::{Workers, with_threads};
 use rayon::prelude::*;
 
 /// What is known of a pixel's fragments without looking at their colours.
@@ -61,10 +61,10 @@ impl<'r> Sink<'r> for TileDepth {
 
 fn of_scene(scene: &Scene, options: &Options, stop: &(dyn Fn() -> bool + Sync)) -> Result<DepthImages> {
     let raster = Raster::new(scene, options.tile_size, stop);
-    let workers = Workers::default();
+    let workers = Workers::new(Tile::default);
     let tiles: Vec<(Rect, TileDepth)> = (0..raster.rows() * raster.columns())
         .into_par_iter()
-        .map(|i| workers.with(Tile::default, |tile| tile_depth(&raster, i, tile, stop)))
+        .map_init(|| workers.lend(), |lent, i| tile_depth(&raster, i, lent.get(), stop))
         .collect();
     if stop() {
         return Err(Error::Cancelled);
