@@ -27,6 +27,9 @@ use pending::Pending;
 use std::ops::Range;
 use std::time::Instant;
 
+/// Nothing waits any more in a tile where waiting has so often been for nothing.
+const INTERRUPTIONS: u32 = 4;
+
 /// The sums of all blended variants over a tile.
 #[derive(Default)]
 pub struct TileSums<'a> {
@@ -40,6 +43,8 @@ pub struct TileSums<'a> {
     rect: Rect,
     cells: Cells,
     kept: Kept,
+    /// How often little had come to wait before something came that could not.
+    interruptions: u32,
     /// The colours of the primitive at hand, if it has several.
     colors: Vec<Premultiplied>,
     alpha: Vec<f32>,
@@ -157,6 +162,7 @@ impl<'a> TileSums<'a> {
         self.weights.iter_mut().for_each(|weight| weight.invalid = 0);
         self.rect = rect;
         self.kept = Kept::Nothing;
+        self.interruptions = 0;
     }
 
     /// Has to come after the last primitive. `share` says whether pixels may share their sums: where the same is
@@ -278,7 +284,7 @@ impl<'r> Sink<'r> for TileSums<'_> {
         match flat_color(cover) {
             Some(color) if self.is_constant(cover) && self.may_wait(cover.at) => self.keep(cover, color),
             flat => {
-                self.flush_pending();
+                self.stop_waiting();
                 self.keep_sums();
                 let fused = self.take_first(cover);
                 self.blend(cover, flat, fused);
@@ -297,9 +303,22 @@ impl TileSums<'_> {
         cover.constant_depth.is_some() || self.weights.iter().all(|weight| weight.weighting.is_none())
     }
 
-    /// Large primitives may, small ones where they are few: they need not make an end of waiting.
+    /// Large primitives may unless others come in between all the time, small ones where they are few: they need not make an
+    /// end of waiting.
     fn may_wait(&self, at: Where<'_>) -> bool {
-        matches!(at, Where::Many(_)) || (self.kept == Kept::Nothing && self.pending.has_room_for_few())
+        match at {
+            Where::Many(_) => self.interruptions < INTERRUPTIONS,
+            Where::Few(_) => self.kept == Kept::Nothing && self.pending.has_room_for_few(),
+        }
+    }
+
+    /// Blends what waits, since something comes that cannot.
+    #[inline]
+    fn stop_waiting(&mut self) {
+        if !self.pending.is_empty() {
+            self.interruptions += u32::from(self.pending.is_little());
+            self.flush_pending();
+        }
     }
 
     /// Keeps a primitive that is the same everywhere for later.

@@ -11,10 +11,14 @@ use std::ops::Range;
 
 /// Stretches, neighbours joined, that are worth keeping, at 12 bytes each.
 const STRETCHES: usize = 1 << 13;
+/// Stretches that would not have had to wait: all sums of the tile pass through the cache when they are blended.
+const LITTLE: usize = 1 << 7;
 /// Room that rows have from the start.
 const STRETCHES_OF_A_ROW: usize = 32;
-/// Stretches up to which those of small primitives are, too.
+/// Stretches up to which those of small primitives are, too, which are cheaper by themselves but would make an end of waiting ...
 const FEW_STRETCHES: usize = 1 << 10;
+/// ... and up to which they are where no large one waits yet: there may come none.
+const STRETCHES_ALONE: usize = 1 << 6;
 
 /// What waits to be blended.
 #[derive(Default)]
@@ -22,6 +26,8 @@ pub struct Pending {
     /// Where it is, row by row of the tile.
     rows: Vec<Vec<Stretch>>,
     stretches: usize,
+    /// Whether any of it is of a large primitive.
+    any_large: bool,
     layers: Layers,
     /// What each layer adds to the sums, weight by weight.
     added: Vec<Vec<[f32; 4]>>,
@@ -94,9 +100,14 @@ impl Pending {
         self.stretches >= STRETCHES
     }
 
+    /// Whether so little waits that blending it at once would have been as fast.
+    pub fn is_little(&self) -> bool {
+        self.stretches < LITTLE
+    }
+
     /// Whether small primitives may be kept: not much waits.
     pub fn has_room_for_few(&self) -> bool {
-        self.stretches < FEW_STRETCHES
+        self.stretches < if self.any_large { FEW_STRETCHES } else { STRETCHES_ALONE }
     }
 
     /// Keeps a primitive of one colour, and one depth where weights look at it.
@@ -104,6 +115,7 @@ impl Pending {
         let layer = self.layers.layer_of(color, cover.constant_depth.unwrap_or(1.0), cover.pixels as u64);
         match cover.at {
             Where::Many(runs) => {
+                self.any_large = true;
                 for run in runs {
                     let from = run.x - rect.x0;
                     self.put(run.y - rect.y0, Stretch { from, to: from + run.len.cast_signed(), layer });
@@ -182,6 +194,7 @@ impl Pending {
     pub fn clear(&mut self) {
         self.rows.iter_mut().for_each(Vec::clear);
         self.stretches = 0;
+        self.any_large = false;
         let Layers { colors, alpha, depth, left, pixels, faint } = &mut self.layers;
         colors.clear();
         alpha.clear();
