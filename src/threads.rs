@@ -1,7 +1,8 @@
 //! Where work runs: on the threads that all renders share, or on some of its own.
 
 use crate::error::{Error, Result};
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, OnceLock};
 
 /// Runs `work` on so many threads, or on those that all renders share, telling it how many they are.
@@ -32,22 +33,67 @@ fn have_shared() -> bool {
     *OWNER.get_or_init(|| this) == this
 }
 
-/// Runs `work` on another thread than the caller's, then `done` with what came of it.
+/// Which thread other than the caller's does some work.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum On {
+    /// One of those that all renders share, if it may be.
+    Shared,
+    /// One of its own, for work that holds locks while it waits or has threads of its own.
+    Own,
+}
+
+impl On {
+    /// Where work on so many threads begins.
+    pub fn threads(threads: Option<usize>) -> Self {
+        if threads.is_none() { Self::Shared } else { Self::Own }
+    }
+}
+
+/// Works that asked for a shared thread and have not ended, wherever they run.
+static UNFINISHED: AtomicUsize = AtomicUsize::new(0);
+
+/// One of them.
+struct Unfinished;
+
+impl Drop for Unfinished {
+    fn drop(&mut self) {
+        UNFINISHED.fetch_sub(1, Ordering::AcqRel);
+    }
+}
+
+/// Runs `work` on another thread than the caller's, then `done` with what came of it, or with its panic.
 ///
-/// That is one of the shared threads, where none of them has such work yet: nothing has to be started, and what the work
-/// hands out in parts begins where it is. A second work would be begun by threads that wait for parts of the first,
-/// within it, and so on; it gets a thread of its own.
-pub fn start<T>(work: impl FnOnce() -> T + Send + 'static, done: impl FnOnce(T) + Send + 'static) {
-    static BUSY: AtomicBool = AtomicBool::new(false);
-    if !have_shared() || BUSY.swap(true, Ordering::Acquire) {
-        std::thread::spawn(move || done(work()));
+/// On a shared thread nothing has to be started, and what the work hands out in parts begins where it is. Only one that is alone
+/// gets there: those threads may be taken by the parts of another for long, and while they wait for parts they would begin the
+/// next work within the first, and so on. The others get threads of their own, as do those of a fork.
+pub fn start<T: 'static>(
+    on: On,
+    work: impl FnOnce() -> T + Send + 'static,
+    done: impl FnOnce(std::thread::Result<T>) + Send + 'static,
+) {
+    let caught = move || catch_unwind(AssertUnwindSafe(work));
+    if on == On::Own {
+        std::thread::spawn(move || done(caught()));
         return;
     }
-    rayon::spawn(move || {
-        let result = work();
-        BUSY.store(false, Ordering::Release);
+    let alone = UNFINISHED.fetch_add(1, Ordering::AcqRel) == 0;
+    let unfinished = Unfinished;
+    let run = move || {
+        let result = caught();
+        drop(unfinished);
         done(result);
-    });
+    };
+    if alone && have_shared() && can_share() {
+        rayon::spawn(run);
+    } else {
+        std::thread::spawn(run);
+    }
+}
+
+/// Whether the shared threads could be started.
+fn can_share() -> bool {
+    static STARTED: OnceLock<bool> = OnceLock::new();
+    *STARTED.get_or_init(|| catch_unwind(rayon::current_num_threads).is_ok())
 }
 
 /// Working memories that threads lend each other, no more than were ever needed at a time.
@@ -95,7 +141,6 @@ impl<T, N> Drop for Lent<'_, T, N> {
 mod tests {
     use super::*;
     use rayon::prelude::*;
-    use std::sync::atomic::AtomicUsize;
     use std::sync::mpsc::channel;
     use std::time::Duration;
 
@@ -105,19 +150,32 @@ mod tests {
         let (first_says, first_said) = channel();
         let (second_says, second_said) = channel();
         let parts = || (0..100_u32).into_par_iter().sum::<u32>();
-        let done = results.clone();
         let first = move || {
             first_says.send(()).unwrap();
             second_said.recv_timeout(Duration::from_secs(60)).map(|()| parts()).unwrap()
         };
-        start(first, move |sum| done.send(sum).unwrap());
+        let done = results.clone();
+        start(On::Shared, first, move |sum| done.send(sum.unwrap_or(0)).unwrap());
         let second = move || {
             first_said.recv_timeout(Duration::from_secs(60)).unwrap();
             second_says.send(()).unwrap();
             parts()
         };
-        start(second, move |sum| results.send(sum).unwrap());
+        start(On::Shared, second, move |sum| results.send(sum.unwrap_or(0)).unwrap());
         assert_eq!(all.iter().collect::<Vec<_>>(), [4950, 4950]);
+    }
+
+    #[test]
+    fn a_panic_is_handed_over_and_nothing_stays_behind() {
+        for on in [On::Shared, On::Own, On::Shared] {
+            let (says, said) = channel();
+            start(
+                on,
+                || assert_eq!(1, 2, "meant to fail"),
+                move |result| says.send(result.is_err()).unwrap(),
+            );
+            assert_eq!(said.recv_timeout(Duration::from_secs(60)), Ok(true), "{on:?}");
+        }
     }
 
     #[test]

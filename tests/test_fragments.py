@@ -118,8 +118,12 @@ def _facing(kind: str) -> oitlab.Scene:
     rng = np.random.default_rng(3)
     large = _quads(rng, 1, 3.0, (0.5,))
     tilted = oitlab.Mesh([(-2, -2, -1), (2, -2, 1), (0, 2, 0)], [(0, 1, 2)], color=(0.2, 0.9, 0.4, 0.3))
+    turns = [(_quads(rng, 1, 3.0, (0.1, 1e-4)), _quads(rng, 40, 0.05, (0.3,))) for _ in range(12)]
     meshes = {
         "cells": large,
+        "faint cells": _quads(rng, 6, 0.9, (1e-4, 3e-5)),
+        "in turns": _quads(rng, 2000, 0.06, (0.02,))
+        + [mesh for turn in turns for part in turn for mesh in part],
         "rows": _quads(rng, 60, 0.7, (0.3, 0.9, 1e-4, 0.0, 1.0)),
         "faint rows": _quads(rng, 60, 0.7, (1e-4, 3e-5)),
         "few small ones": large + _quads(rng, 200, 0.04, (0.3, 1e-4)) + _quads(rng, 20, 0.7, (0.4,)),
@@ -132,7 +136,18 @@ def _facing(kind: str) -> oitlab.Scene:
 
 @pytest.mark.parametrize("skip", [True, False])
 @pytest.mark.parametrize(
-    "kind", ["cells", "rows", "faint rows", "few small ones", "many small ones", "deep", "pixels"]
+    "kind",
+    [
+        "cells",
+        "faint cells",
+        "in turns",
+        "rows",
+        "faint rows",
+        "few small ones",
+        "many small ones",
+        "deep",
+        "pixels",
+    ],
 )
 def test_sums_have_the_bits_of_lists_however_they_are_kept(kind: str, skip: bool) -> None:
     variants: list[Any] = ["wboit", ("wboit", {"weight": "inv_pow"}), "weighted_sum", "weighted_average"]
@@ -145,8 +160,9 @@ def test_sums_have_the_bits_of_lists_however_they_are_kept(kind: str, skip: bool
         np.testing.assert_array_equal(one.transmittance, other.transmittance)
         assert one.stats.fragments == other.stats.fragments > 1000
         assert one.stats.depth_complexity_max == other.stats.depth_complexity_max
-    alone = oitlab.render(scene, "wboit", skip=skip)
-    np.testing.assert_array_equal(alone.color, oitlab.render(lists, "wboit").color)
+    for params in ({}, {"weight": "1.0 / (z * z)"}):
+        alone = oitlab.render(scene, "wboit", params, skip=skip)
+        np.testing.assert_array_equal(alone.color, oitlab.render(lists, "wboit", params).color)
 
 
 def test_weights_see_the_sign_of_a_zero_alpha() -> None:

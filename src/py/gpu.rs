@@ -4,11 +4,13 @@ use super::custom::Named;
 use super::fragments::PyFragments;
 use super::frame::PyFrame;
 use super::function::Failures;
-use super::run::{AnySource, options, requests};
 #[cfg(feature = "gpu")]
-use super::run::{On, interruptible};
+use super::run::interruptible;
+use super::run::{AnySource, options, requests};
 use super::scene::PyScene;
 use crate::gpu::form::tiled::RasterPath;
+#[cfg(feature = "gpu")]
+use crate::threads::On;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 #[cfg(feature = "gpu")]

@@ -15,12 +15,11 @@ use crate::render::{Options, Request, Source};
 use crate::scene::Scene;
 use crate::technique::DepthComplexity;
 use crate::techniques::REGISTRY;
-use crate::threads;
+use crate::threads::{On, start};
 use numpy::{PyArray1, PyArrayMethods, PyReadonlyArray1};
 use pyo3::exceptions::{PyRuntimeError, PyTypeError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{RecvTimeoutError, channel};
@@ -85,16 +84,6 @@ impl AnySource {
 /// How often the interpreter is asked for pending signals.
 const SIGNAL_INTERVAL: Duration = Duration::from_millis(20);
 
-/// Which thread other than the interpreter's does the work.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum On {
-    /// One of those that all renders share, if it may be.
-    Shared,
-    /// One of its own, as for work that holds locks while it waits.
-    #[cfg_attr(not(feature = "gpu"), expect(dead_code, reason = "the GPU's"))]
-    Own,
-}
-
 /// Runs `work` on another thread, detached from the interpreter. On a signal such as Ctrl-C it is told to stop
 /// and left to wind down by itself, so that the interpreter has control again at once. It is also told to stop when a
 /// function of the user's own has raised something, which is raised again here.
@@ -109,18 +98,11 @@ pub fn interruptible<T: Send + 'static>(
     let stopped = Arc::clone(&stop);
     let failed = failures.clone();
     let (sender, receiver) = channel();
-    let work = move || {
-        let stop = || stopped.load(Ordering::Relaxed) || failed.happened();
-        catch_unwind(AssertUnwindSafe(|| work(&stop)))
-    };
-    let done = move |result| {
+    let work = move || work(&|| stopped.load(Ordering::Relaxed) || failed.happened());
+    start(on, work, move |result| {
         // nobody listens any more after a signal
         _ = sender.send(result);
-    };
-    match on {
-        On::Shared => threads::start(work, done),
-        On::Own => _ = std::thread::spawn(move || done(work())),
-    }
+    });
     let result = py.detach(move || {
         loop {
             match receiver.recv_timeout(SIGNAL_INTERVAL) {
@@ -177,7 +159,7 @@ pub fn render<'py>(
     let requests = requests(variants, &failures)?;
     let options = options(threads, skip)?;
     let shared = source.share();
-    let frames = interruptible(py, On::Shared, &failures, move |stop| {
+    let frames = interruptible(py, On::threads(options.threads), &failures, move |stop| {
         let run = if float64 { core::render::<f64> } else { core::render::<f32> };
         run(shared.as_source(), &requests, &options, stop)
     })?;
@@ -211,7 +193,7 @@ pub fn diagnose<'py>(
     let shape = source.shape();
     let work =
         move |stop: &(dyn Fn() -> bool + Sync)| core::diagnose(source.as_source(), &requests, &options, stop);
-    let found = interruptible(py, On::Shared, &failures, work)?;
+    let found = interruptible(py, On::threads(options.threads), &failures, work)?;
     let dict = |diagnostics: core::Diagnostics| {
         let dict = PyDict::new(py);
         for (fault, amounts) in diagnostics.images {
@@ -234,7 +216,7 @@ pub fn diagnose<'py>(
 pub fn capture(py: Python<'_>, scene: &Bound<'_, PyScene>, threads: Option<i64>) -> PyResult<PyFragments> {
     let options = options(threads, true)?;
     let scene = Arc::clone(&scene.get().0);
-    let fragments = interruptible(py, On::Shared, &Failures::default(), move |stop| {
+    let fragments = interruptible(py, On::threads(options.threads), &Failures::default(), move |stop| {
         core::capture(&scene, &options, stop)
     })?;
     Ok(PyFragments(Arc::new(fragments)))
@@ -284,7 +266,7 @@ pub fn order_sensitivity<'py>(
     let fragments = Arc::clone(&fragments.get().0);
     let shape = [fragments.height as usize, fragments.width as usize];
     let shuffles = usize::try_from(n).unwrap_or(0);
-    let variance = interruptible(py, On::Shared, &failures, move |stop| {
+    let variance = interruptible(py, On::threads(options.threads), &failures, move |stop| {
         core::order_sensitivity(&fragments, &request, shuffles, seed, &options, stop)
     })?;
     Ok(PyArray1::from_vec(py, variance).reshape(shape)?.into_any())

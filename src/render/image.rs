@@ -185,6 +185,7 @@ impl<S: Sample> Patch<'_, S> {
     /// Stores one pixel of variant `v` in all places of a cell of the part `rect`, for each of its cells. As above, the
     /// background has one share in all channels.
     pub fn fill(&mut self, v: usize, rect: &Rect, cells: &Cells, pixels: &FinishedPixels) {
+        debug_assert_eq!(self.images[v].channels, 1);
         let mut rows = cells.rows();
         let mut buffer = RowBuffer::default();
         let store = |colors: &mut [[S; 3]], shares: &mut [S], _, now: Range<usize>| {

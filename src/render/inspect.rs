@@ -59,7 +59,8 @@ pub fn transmittance(
         sorted: None,
         background: &background,
     };
-    let centroids = (variant.order == SubmissionOrder::Centroid).then(|| fragments.centroid_order());
+    let by_centroid = variant.order == SubmissionOrder::Centroid;
+    let centroids = with_threads(None, |_| Ok(by_centroid.then(|| fragments.centroid_order())))?;
     let reconstructed = Resolver::default().transmittance(&variant, centroids.as_ref(), &batch, depths)?;
     let none = || Error::argument("technique", format!("{} has no transmittance function", variant.id));
     Ok(Transmittance { exact, reconstructed: reconstructed.ok_or_else(none)? })

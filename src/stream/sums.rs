@@ -107,7 +107,7 @@ impl Sums {
         self.clear_coverage(places);
     }
 
-    /// The same for places where [`Pending::blend_rows`] does not look at what was there before.
+    /// The same for places where [`Pending::blend_rows`], or [`Pending::blend_cells`], does not look at what was there before.
     fn make_room(&mut self, places: usize) {
         grow(&mut self.transmittance, places);
         grow(&mut self.counts, places);

@@ -89,7 +89,7 @@ impl Cells {
         first..first + (end - first).next_multiple_of(BLOCK)
     }
 
-    /// How many places [`Cells::blocks_of`] all rows take.
+    /// Places for [`Cells::blocks_of`] all rows, and some to spare.
     pub fn room(&self) -> usize {
         self.count() + BLOCK
     }
