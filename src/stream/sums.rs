@@ -10,6 +10,7 @@ mod deferred;
 mod kernels;
 mod pending;
 mod rows;
+mod weigh;
 
 use super::{Stopwatch, flat_color, reset, shade};
 use crate::continuum::sums::{Blended, FAINT, SumsOf};
@@ -26,9 +27,7 @@ use kernels::{
 use pending::Pending;
 use std::ops::Range;
 use std::time::Instant;
-
-/// Nothing waits any more in a tile where waiting has so often been for nothing.
-const INTERRUPTIONS: u32 = 4;
+use weigh::{Same, constant_term, weigh_flat, weigh_shaded};
 
 /// The sums of all blended variants over a tile.
 #[derive(Default)]
@@ -43,8 +42,6 @@ pub struct TileSums<'a> {
     rect: Rect,
     cells: Cells,
     kept: Kept,
-    /// How often little had come to wait before something came that could not.
-    interruptions: u32,
     /// The colours of the primitive at hand, if it has several.
     colors: Vec<Premultiplied>,
     alpha: Vec<f32>,
@@ -162,7 +159,6 @@ impl<'a> TileSums<'a> {
         self.weights.iter_mut().for_each(|weight| weight.invalid = 0);
         self.rect = rect;
         self.kept = Kept::Nothing;
-        self.interruptions = 0;
     }
 
     /// Has to come after the last primitive. `share` says whether pixels may share their sums: where the same is
@@ -282,7 +278,11 @@ impl<'r> Sink<'r> for TileSums<'_> {
     #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
     fn take(&mut self, cover: &Cover<'_, 'r>) -> bool {
         match flat_color(cover) {
-            Some(color) if self.is_constant(cover) && self.may_wait(cover.at) => self.keep(cover, color),
+            Some(color)
+                if self.is_constant(cover) && self.pending.may_take(cover.at, self.kept == Kept::Nothing) =>
+            {
+                self.keep(cover, color);
+            }
             flat => {
                 self.stop_waiting();
                 self.keep_sums();
@@ -303,20 +303,11 @@ impl TileSums<'_> {
         cover.constant_depth.is_some() || self.weights.iter().all(|weight| weight.weighting.is_none())
     }
 
-    /// Large primitives may unless others come in between all the time, small ones where they are few: they need not make an
-    /// end of waiting.
-    fn may_wait(&self, at: Where<'_>) -> bool {
-        match at {
-            Where::Many(_) => self.interruptions < INTERRUPTIONS,
-            Where::Few(_) => self.kept == Kept::Nothing && self.pending.has_room_for_few(),
-        }
-    }
-
     /// Blends what waits, since something comes that cannot.
     #[inline]
     fn stop_waiting(&mut self) {
         if !self.pending.is_empty() {
-            self.interruptions += u32::from(self.pending.is_little());
+            self.pending.count_interruption();
             self.flush_pending();
         }
     }
@@ -445,72 +436,4 @@ impl TileSums<'_> {
             counts[i] += 1;
         });
     }
-}
-
-/// What a primitive of one colour and one weight adds to the sums: the weight at its depth times the colour.
-#[inline(always)]
-#[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
-fn constant_term(
-    weighting: Option<&Weighting>,
-    depth: Option<f32>,
-    color: Premultiplied,
-    weight: &mut Vec<f32>,
-) -> [f32; 4] {
-    let (Some(weighting), Some(depth)) = (weighting, depth) else { return color };
-    weighting.evaluate_here(&[depth], &[color[3]], weight);
-    color.map(|channel| weight[0] * channel)
-}
-
-/// The weights of all pixels of a primitive of one colour, and a few more: whole vectors are faster than exact
-/// ends, and there are depths enough.
-#[inline(always)]
-#[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
-fn weigh_flat(
-    weighting: &Weighting,
-    cover: &Cover<'_, '_>,
-    alpha: f32,
-    alphas: &mut Same,
-    weights: &mut Vec<f32>,
-) {
-    let len = cover.pixels.next_multiple_of(8);
-    weighting.evaluate_here(&cover.depth[..len], alphas.times(alpha, len), weights);
-}
-
-/// One number many times; the next primitive often needs the same again.
-#[derive(Default)]
-struct Same(Vec<f32>);
-
-impl Same {
-    #[inline]
-    fn times(&mut self, number: f32, len: usize) -> &[f32] {
-        let Self(numbers) = self;
-        if numbers.len() < len || numbers[0].to_bits() != number.to_bits() {
-            // no longer than it has to be, however long it was: small primitives follow large ones
-            refill(numbers, len, number);
-        }
-        &numbers[..len]
-    }
-}
-
-/// The weights of all pixels of a primitive whose colour varies.
-fn weigh_shaded(
-    weighting: Option<&Weighting>,
-    cover: &Cover<'_, '_>,
-    alphas: &[f32],
-    constant: &mut Vec<f32>,
-    weights: &mut Vec<f32>,
-) {
-    let Some(weighting) = weighting else { return refill(weights, cover.pixels, 1.0) };
-    match cover.constant_depth {
-        Some(depth) => {
-            refill(constant, cover.pixels, depth);
-            weighting.evaluate(constant, alphas, weights);
-        }
-        None => weighting.evaluate(&cover.depth[..cover.pixels], alphas, weights),
-    }
-}
-
-fn refill(numbers: &mut Vec<f32>, len: usize, number: f32) {
-    numbers.clear();
-    numbers.resize(len, number);
 }

@@ -13,6 +13,8 @@ use std::ops::Range;
 const STRETCHES: usize = 1 << 13;
 /// Stretches that would not have had to wait: all sums of the tile pass through the cache when they are blended.
 const LITTLE: usize = 1 << 7;
+/// Nothing waits any more in a tile where so little has so often been blended because something else came.
+const INTERRUPTIONS: u32 = 4;
 /// Room that rows have from the start.
 const STRETCHES_OF_A_ROW: usize = 32;
 /// Stretches up to which those of small primitives are, too, which are cheaper by themselves but would make an end of waiting ...
@@ -28,6 +30,8 @@ pub struct Pending {
     stretches: usize,
     /// Whether any of it is of a large primitive.
     any_large: bool,
+    /// How often little had come to wait, in this tile, before something came that could not.
+    interruptions: u32,
     layers: Layers,
     /// What each layer adds to the sums, weight by weight.
     added: Vec<Vec<[f32; 4]>>,
@@ -82,6 +86,7 @@ impl Pending {
     /// Begins with a tile of so many rows.
     pub fn begin(&mut self, rows: usize) {
         self.clear();
+        self.interruptions = 0;
         self.rows.resize_with(rows, || Vec::with_capacity(STRETCHES_OF_A_ROW));
     }
 
@@ -100,14 +105,20 @@ impl Pending {
         self.stretches >= STRETCHES
     }
 
-    /// Whether so little waits that blending it at once would have been as fast.
-    pub fn is_little(&self) -> bool {
-        self.stretches < LITTLE
+    /// Whether a primitive may wait; `first` says that the tile has no sums yet. Large ones may unless others come in between
+    /// all the time, small ones where they are few, so that they need not make an end of waiting.
+    pub fn may_take(&self, at: Where<'_>, first: bool) -> bool {
+        match at {
+            Where::Many(_) => self.interruptions < INTERRUPTIONS,
+            Where::Few(_) => {
+                first && self.stretches < if self.any_large { FEW_STRETCHES } else { STRETCHES_ALONE }
+            }
+        }
     }
 
-    /// Whether small primitives may be kept: not much waits.
-    pub fn has_room_for_few(&self) -> bool {
-        self.stretches < if self.any_large { FEW_STRETCHES } else { STRETCHES_ALONE }
+    /// Has to come before what waits is blended because something comes that cannot wait.
+    pub fn count_interruption(&mut self) {
+        self.interruptions += u32::from(self.stretches < LITTLE);
     }
 
     /// Keeps a primitive of one colour, and one depth where weights look at it.

@@ -1,0 +1,72 @@
+//! The weights of a primitive's fragments, as its sums want them.
+
+use crate::raster::{Cover, Premultiplied};
+use crate::weight::Weighting;
+
+/// What a primitive of one colour and one weight adds to the sums: the weight at its depth times the colour.
+#[inline(always)]
+#[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+pub fn constant_term(
+    weighting: Option<&Weighting>,
+    depth: Option<f32>,
+    color: Premultiplied,
+    weight: &mut Vec<f32>,
+) -> [f32; 4] {
+    let (Some(weighting), Some(depth)) = (weighting, depth) else { return color };
+    weighting.evaluate_here(&[depth], &[color[3]], weight);
+    color.map(|channel| weight[0] * channel)
+}
+
+/// The weights of all pixels of a primitive of one colour, and a few more: whole vectors are faster than exact
+/// ends, and there are depths enough.
+#[inline(always)]
+#[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+pub fn weigh_flat(
+    weighting: &Weighting,
+    cover: &Cover<'_, '_>,
+    alpha: f32,
+    alphas: &mut Same,
+    weights: &mut Vec<f32>,
+) {
+    let len = cover.pixels.next_multiple_of(8);
+    weighting.evaluate_here(&cover.depth[..len], alphas.times(alpha, len), weights);
+}
+
+/// One number many times; the next primitive often needs the same again.
+#[derive(Default)]
+pub struct Same(Vec<f32>);
+
+impl Same {
+    #[inline]
+    fn times(&mut self, number: f32, len: usize) -> &[f32] {
+        let Self(numbers) = self;
+        if numbers.len() < len || numbers[0].to_bits() != number.to_bits() {
+            // no longer than it has to be, however long it was: small primitives follow large ones
+            refill(numbers, len, number);
+        }
+        &numbers[..len]
+    }
+}
+
+/// The weights of all pixels of a primitive whose colour varies.
+pub fn weigh_shaded(
+    weighting: Option<&Weighting>,
+    cover: &Cover<'_, '_>,
+    alphas: &[f32],
+    constant: &mut Vec<f32>,
+    weights: &mut Vec<f32>,
+) {
+    let Some(weighting) = weighting else { return refill(weights, cover.pixels, 1.0) };
+    match cover.constant_depth {
+        Some(depth) => {
+            refill(constant, cover.pixels, depth);
+            weighting.evaluate(constant, alphas, weights);
+        }
+        None => weighting.evaluate(&cover.depth[..cover.pixels], alphas, weights),
+    }
+}
+
+fn refill(numbers: &mut Vec<f32>, len: usize, number: f32) {
+    numbers.clear();
+    numbers.resize(len, number);
+}
