@@ -1,7 +1,7 @@
 //! Depth and perspective-correct barycentric coordinates at pixel centres.
 //!
-//! Every pixel is evaluated on its own from the primitive's vertices, never stepped from a neighbour, so that
-//! tiles, threads and SIMD widths cannot change a bit; and every result is clamped to the vertices' range.
+//! Every pixel is evaluated on its own from the primitive's vertices, or stepped from a neighbour where that is exact, so
+//! that tiles, threads and SIMD widths cannot change a bit; and every result is clamped to the vertices' range.
 
 use super::pixels::Pixels;
 use super::project::{CENTER, Projector, SUBPIXELS, ScreenVertex};
@@ -20,6 +20,8 @@ pub struct Hit {
 
 /// Pixels that are evaluated together.
 pub const LANES: usize = 8;
+/// Pixels of a run that are evaluated from the same first one.
+const STEPS: usize = 64;
 
 /// What can be evaluated at a pixel centre inside the primitive.
 #[derive(Debug, Clone, Copy)]
@@ -107,9 +109,7 @@ impl Plane {
     fn at(&self, x: i32, y: i32) -> Hit {
         let dx = f64::from(x * SUBPIXELS + CENTER - self.origin.0);
         let dy = f64::from(y * SUBPIXELS + CENTER - self.origin.1);
-        let l1 = dx * self.to_2.1 - dy * self.to_2.0;
-        let l2 = dy * self.to_1.0 - dx * self.to_1.1;
-        let l0 = self.area - l1 - l2;
+        let [l0, l1, l2] = self.edges(dx, dy);
         let [v0, v1, v2] = self.values;
         let (p0, p1, p2) = (l0 * v0, l1 * v1, l2 * v2);
         let sum = p0 + p1 + p2;
@@ -142,17 +142,26 @@ impl Plane {
         for (depth, &at) in depth.iter_mut().zip(pixels.at()) {
             let dx = f64::from((at & 0xFFFF).cast_signed() * SUBPIXELS + right);
             let dy = f64::from((at >> 16).cast_signed() * SUBPIXELS + down);
-            *depth =
-                self.depth(dx * self.to_2.1 - dy * self.to_2.0, dy * self.to_1.0 - dx * self.to_1.1) as f32;
+            *depth = self.depth(self.edges(dx, dy)) as f32;
         }
     }
 
-    /// The depth where two edge functions have these values.
+    /// The edge functions so many sub-pixels right of the first corner and below it: whole numbers, and exact inside of
+    /// the triangle.
     #[inline(always)]
     #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
-    fn depth(&self, l1: f64, l2: f64) -> f64 {
+    fn edges(&self, dx: f64, dy: f64) -> [f64; 3] {
+        let l1 = dx * self.to_2.1 - dy * self.to_2.0;
+        let l2 = dy * self.to_1.0 - dx * self.to_1.1;
+        [self.area - l1 - l2, l1, l2]
+    }
+
+    /// The depth where the edge functions have these values.
+    #[inline(always)]
+    #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+    fn depth(&self, [l0, l1, l2]: [f64; 3]) -> f64 {
         let [v0, v1, v2] = self.values;
-        let sum = (self.area - l1 - l2) * v0 + l1 * v1 + l2 * v2;
+        let sum = l0 * v0 + l1 * v1 + l2 * v2;
         // one division, whichever it is
         let (above, below) = if self.perspective { (self.area, sum) } else { (sum, self.area) };
         clamp_depth(above / below, self.range)
@@ -163,11 +172,15 @@ impl Plane {
     #[inline(always)]
     #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
     fn depths(&self, runs: &[Run], depth: &mut [f32]) {
+        let steps = Steps::new(self);
         let mut next = 0;
         for run in runs {
             // whole vectors, the ends of which the next run writes over
             let end = next + run.len as usize;
-            self.depths_of_row(run, &mut depth[next..next + (end - next).next_multiple_of(LANES)]);
+            let whole = &mut depth[next..next + (end - next).next_multiple_of(LANES)];
+            for (x, depth) in (run.x..).step_by(STEPS).zip(whole.chunks_mut(STEPS)) {
+                self.depths_from(x, run.y, &steps, depth);
+            }
             next = end;
         }
     }
@@ -177,19 +190,43 @@ impl Plane {
         depths_of_many(self, runs, depth);
     }
 
-    /// The depths of the pixels from a run's first on. A plain loop over a number of pixels that is not known before:
-    /// of one over eight, a compiler makes scalars.
+    /// The depths of a pixel and those right of it. A plain loop over a number of pixels that is not known before: of one
+    /// over eight, a compiler makes scalars.
     #[inline(always)]
     #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
     #[expect(clippy::cast_possible_truncation, reason = "fragments store depth as f32")]
-    fn depths_of_row(&self, run: &Run, depth: &mut [f32]) {
-        let dx = f64::from(run.x * SUBPIXELS + CENTER - self.origin.0);
-        let dy = f64::from(run.y * SUBPIXELS + CENTER - self.origin.1);
-        let (down_1, down_2) = (dy * self.to_1.0, dy * self.to_2.0);
-        for (depth, i) in depth.iter_mut().zip(0..) {
-            let dx = dx + f64::from(i * SUBPIXELS);
-            *depth = self.depth(dx * self.to_2.1 - down_2, down_1 - dx * self.to_1.1) as f32;
+    fn depths_from(&self, x: i32, y: i32, steps: &Steps, depth: &mut [f32]) {
+        let dx = f64::from(x * SUBPIXELS + CENTER - self.origin.0);
+        let dy = f64::from(y * SUBPIXELS + CENTER - self.origin.1);
+        let [l0, l1, l2] = self.edges(dx, dy);
+        let steps = steps.l0.iter().zip(&steps.l1).zip(&steps.l2);
+        for (depth, ((step_0, step_1), step_2)) in depth.iter_mut().zip(steps) {
+            *depth = self.depth([l0 + step_0, l1 + step_1, l2 + step_2]) as f32;
         }
+    }
+}
+
+/// What is added to the edge functions of a pixel to have those of the pixels right of it. Both are whole numbers and exact,
+/// and so are their sums wherever the pixel is in the triangle: the bits of a pixel that is evaluated on its own, for a
+/// third of the arithmetic.
+struct Steps {
+    l0: [f64; STEPS],
+    l1: [f64; STEPS],
+    l2: [f64; STEPS],
+}
+
+impl Steps {
+    #[inline(always)]
+    #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+    fn new(plane: &Plane) -> Self {
+        let mut steps = Self { l0: [0.0; STEPS], l1: [0.0; STEPS], l2: [0.0; STEPS] };
+        let all = steps.l0.iter_mut().zip(&mut steps.l1).zip(&mut steps.l2);
+        for (((l0, l1), l2), i) in all.zip(0..) {
+            let dx = f64::from(i * SUBPIXELS);
+            (*l1, *l2) = (dx * plane.to_2.1, -(dx * plane.to_1.1));
+            *l0 = -*l1 - *l2;
+        }
+        steps
     }
 }
 
