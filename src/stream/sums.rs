@@ -5,6 +5,7 @@
 //!
 //! [`BlendSums::add`]: crate::continuum::sums::BlendSums::add
 
+mod aligned;
 mod cells;
 mod deferred;
 mod kernels;
@@ -12,22 +13,23 @@ mod pending;
 mod rows;
 mod weigh;
 
-use super::{Stopwatch, flat_color, reset, shade};
+use super::{Stopwatch, flat_color, shade};
 use crate::continuum::sums::{Blended, FAINT, SumsOf};
 use crate::raster::{Cover, Opaque, Premultiplied, Rect, Sink, Where};
 use crate::resolve::nanos_since;
 use crate::technique::FinishedPixels;
 use crate::weight::Weighting;
+use aligned::Aligned;
 pub use cells::{Cells, RowOfCells};
 use deferred::Deferred;
 use kernels::{
-    Places, add_constant, add_constant_to_few, add_few, add_flat, add_weighted, attenuate, blend_few,
+    LANES, Places, add_constant, add_constant_to_few, add_few, add_flat, add_weighted, attenuate, blend_few,
     blend_flat,
 };
 use pending::Pending;
 use std::ops::Range;
 use std::time::Instant;
-use weigh::{Same, constant_term, weigh_flat, weigh_shaded};
+use weigh::{Roomy, Same, constant_term, weigh_flat, weigh_shaded};
 
 /// The sums of all blended variants over a tile.
 #[derive(Default)]
@@ -48,7 +50,9 @@ pub struct TileSums<'a> {
     /// Its alpha, if it has but one.
     same_alpha: Same,
     depth: Vec<f32>,
-    /// The weights of its pixels.
+    /// The weights of its pixels, if it has but one colour ...
+    flat_weights: Roomy,
+    /// ... and if it has several, or of what waits.
     weight: Vec<f32>,
 }
 
@@ -86,11 +90,11 @@ impl Weight<'_> {
 #[derive(Default)]
 struct Sums {
     /// Σ w (r, g, b, a) for every weight.
-    weighted: Vec<Vec<[f32; 4]>>,
+    weighted: Vec<Aligned<[f32; 4]>>,
     /// R, and 1 - R of faint fragments, which all weights share.
-    transmittance: Vec<f64>,
+    transmittance: Aligned<f64>,
     coverage: Vec<f64>,
-    counts: Vec<u32>,
+    counts: Aligned<u32>,
     /// Whether anything was added to `coverage`.
     faint: bool,
 }
@@ -98,17 +102,17 @@ struct Sums {
 impl Sums {
     /// No fragments, in so many places.
     fn clear(&mut self, places: usize) {
-        reset(&mut self.transmittance, places, 1.0);
-        reset(&mut self.counts, places, 0);
-        self.weighted.iter_mut().for_each(|sums| reset(sums, places, [0.0; 4]));
+        self.transmittance.reset(places, 1.0);
+        self.counts.reset(places, 0);
+        self.weighted.iter_mut().for_each(|sums| sums.reset(places, [0.0; 4]));
         self.clear_coverage(places);
     }
 
     /// The same for places where [`Pending::blend_rows`], or [`Pending::blend_cells`], does not look at what was there before.
     fn make_room(&mut self, places: usize) {
-        grow(&mut self.transmittance, places);
-        grow(&mut self.counts, places);
-        self.weighted.iter_mut().for_each(|sums| grow(sums, places));
+        self.transmittance.make_room(places);
+        self.counts.make_room(places);
+        self.weighted.iter_mut().for_each(|sums| sums.make_room(places));
         self.clear_coverage(places);
     }
 
@@ -117,14 +121,10 @@ impl Sums {
             self.coverage.fill(0.0);
             self.faint = false;
         }
-        grow(&mut self.coverage, places);
-    }
-}
-
-/// So many numbers at least; whole tiles follow parts of them, and what has grown once need not again.
-fn grow<T: Copy + Default>(numbers: &mut Vec<T>, len: usize) {
-    if numbers.len() < len {
-        numbers.resize(len, T::default());
+        // whole tiles follow parts of them, and what has grown once need not again
+        if self.coverage.len() < places {
+            self.coverage.resize(places, 0.0);
+        }
     }
 }
 
@@ -142,7 +142,7 @@ impl<'a> TileSums<'a> {
             let place = all.weights.iter().position(same).unwrap_or(all.weights.len());
             if place == all.weights.len() {
                 all.weights.push(Weight { weighting, invalid: 0, stopwatch: Stopwatch::default() });
-                all.sums.weighted.push(Vec::new());
+                all.sums.weighted.push(Aligned::default());
             }
             all.variants.push((technique, place));
         }
@@ -200,7 +200,7 @@ impl<'a> TileSums<'a> {
     fn keep_sums(&mut self) {
         if self.kept == Kept::Nothing {
             self.kept = Kept::Pixels;
-            self.sums.clear(self.rect.area());
+            self.sums.clear(self.rect.area() + LANES);
         }
     }
 
@@ -339,6 +339,9 @@ impl TileSums<'_> {
         let (Some(color), None) = (flat_color(cover), cover.constant_depth) else {
             return false;
         };
+        if !color.iter().all(|channel| channel.is_finite()) {
+            return false;
+        }
         let Some(Weight { weighting: Some(weighting), stopwatch, .. }) = self.weights.first_mut() else {
             return false;
         };
@@ -346,14 +349,17 @@ impl TileSums<'_> {
             return false;
         }
         let start = stopwatch.start();
-        weigh_flat(weighting, cover, color[3], &mut self.same_alpha, &mut self.weight);
+        let weights = &mut self.flat_weights;
+        weigh_flat(weighting, cover, color[3], &mut self.same_alpha, weights);
         let Sums { weighted, transmittance, counts, .. } = &mut self.sums;
         let sums = &mut weighted[0];
         match cover.at {
             Where::Few(pixels) => {
-                blend_few(pixels.places(), &self.weight, color, Places { transmittance, counts, sums });
+                blend_few(pixels.places(), weights.numbers(), color, Places { transmittance, counts, sums });
             }
-            Where::Many(runs) => blend_flat(runs, &self.weight, color, transmittance, counts, sums),
+            Where::Many(runs) => {
+                blend_flat(runs, weights.with_room(), color, Places { transmittance, counts, sums });
+            }
         }
         stopwatch.stop(start);
         self.cover_if_faint(cover, color[3].into());
@@ -369,20 +375,22 @@ impl TileSums<'_> {
             Some([.., alpha]) => self.attenuate_flat(cover, alpha),
             None => self.attenuate_shaded(cover),
         }
-        let Self { weights, sums, colors, alpha, same_alpha, weight: numbers, depth, .. } = self;
+        let Self { weights, sums, colors, alpha, same_alpha, flat_weights, weight: numbers, depth, .. } =
+            self;
         let left = weights.iter_mut().zip(&mut sums.weighted).skip(usize::from(fused));
         for (Weight { weighting, stopwatch, .. }, sums) in left.filter(|(weight, _)| !weight.is_own()) {
             let start = stopwatch.start();
             match (flat, *weighting, cover.constant_depth) {
                 (Some(color), Some(weighting), None) => {
-                    weigh_flat(weighting, cover, color[3], same_alpha, numbers);
+                    weigh_flat(weighting, cover, color[3], same_alpha, flat_weights);
+                    let numbers = flat_weights.numbers();
                     match cover.at {
                         Where::Few(pixels) => add_few(pixels.places(), numbers, color, sums),
                         Where::Many(runs) => add_flat(runs, numbers, color, sums),
                     }
                 }
                 (Some(color), weighting, z) => {
-                    let added = constant_term(weighting, z, color, numbers);
+                    let added = constant_term(weighting, z, color);
                     match cover.at {
                         Where::Few(pixels) => add_constant_to_few(pixels.places(), added, sums),
                         Where::Many(runs) => add_constant(runs, added, sums),

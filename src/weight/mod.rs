@@ -336,20 +336,16 @@ impl Weighting {
         }
     }
 
-    /// [`Weighting::evaluate`] of a published weight for the caller's instruction set, at the front of `weights`,
-    /// which grow to fit.
+    /// [`Weighting::evaluate`] of a published weight for the caller's instruction set.
     ///
     /// # Panics
     /// If the weight is somebody's own.
     #[inline(always)]
     #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
-    pub fn evaluate_here(&self, depth: &[f32], alpha: &[f32], weights: &mut Vec<f32>) {
+    pub fn evaluate_here(&self, depth: &[f32], alpha: &[f32], weights: &mut [f32]) {
         match &self.function {
             Function::Published(formula) => {
-                if weights.len() < depth.len() {
-                    weights.resize(depth.len(), 0.0);
-                }
-                formula.weigh(&Fragments { seen: self.seen, depth, alpha }, &mut weights[..depth.len()]);
+                formula.weigh(&Fragments { seen: self.seen, depth, alpha }, weights);
             }
             Function::Own(_) => panic!("a weight of somebody's own is evaluated for many fragments at once"),
         }

@@ -2,6 +2,7 @@
 //! cost of a call is shared by all of them. A pixel gets its fragments in the same order.
 
 use super::Weight;
+use super::aligned::Aligned;
 use super::kernels::{add_few, add_flat, add_weighted};
 use crate::raster::{Arrivals, Cover, Premultiplied};
 use crate::resolve::nanos_since;
@@ -71,7 +72,12 @@ impl Deferred {
     }
 
     /// Blends everything, in the order in which it came, into the sums of those weights that are somebody's own.
-    pub fn blend(&mut self, weights: &mut [Weight<'_>], sums: &mut [Vec<[f32; 4]>], numbers: &mut Vec<f32>) {
+    pub fn blend(
+        &mut self,
+        weights: &mut [Weight<'_>],
+        sums: &mut [Aligned<[f32; 4]>],
+        numbers: &mut Vec<f32>,
+    ) {
         for (weight, sums) in weights.iter_mut().zip(sums).filter(|(weight, _)| weight.is_own()) {
             let Some(weighting) = weight.weighting else { continue };
             let start = Instant::now();

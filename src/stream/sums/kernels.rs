@@ -3,6 +3,7 @@
 
 use crate::raster::{Premultiplied, Run, Where};
 use multiversion::multiversion;
+use std::hint::black_box;
 
 /// The running sums of some pixels.
 pub struct Places<'a> {
@@ -11,30 +12,79 @@ pub struct Places<'a> {
     pub sums: &'a mut [[f32; 4]],
 }
 
-/// Attenuates the background, counts the fragments, and adds the weights times one colour, in one go.
+/// Neighbouring pixels that are blended together.
+pub const LANES: usize = 8;
+const CHANNELS: usize = 4;
+
+/// Attenuates the background, counts the fragments, and adds the weights times one finite colour, in one go.
+///
+/// Runs are blended in groups of [`LANES`] that begin at multiples of it, where what they need lies in one cache line: there is
+/// room for as many numbers before the first weight and behind the last, and behind the last place. Pixels beside a run are
+/// multiplied by one and get zero added, which changes no bit of theirs: sums begin at +0, so that none is -0.
 #[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
-pub fn blend_flat(
-    runs: &[Run],
-    mut weights: &[f32],
-    color: Premultiplied,
-    transmittance: &mut [f64],
-    counts: &mut [u32],
-    sums: &mut [[f32; 4]],
-) {
+pub fn blend_flat(runs: &[Run], weights: &[f32], color: Premultiplied, places: Places<'_>) {
+    let Places { transmittance, counts, sums } = places;
     let left = 1.0 - f64::from(color[3]);
+    let mut channels = [0.0; CHANNELS * LANES];
+    for (i, channel) in channels.iter_mut().enumerate() {
+        *channel = color[i % CHANNELS];
+    }
+    let mut next = LANES;
     for run in runs {
-        let (now, later) = weights.split_at(run.len as usize);
-        weights = later;
-        let background = transmittance[run.pixels()].iter_mut().zip(&mut counts[run.pixels()]);
-        for ((sum, (t, n)), weight) in sums[run.pixels()].iter_mut().zip(background).zip(now) {
-            *t *= left;
-            *n += 1;
-            let mut added = *sum;
-            for channel in 0..4 {
-                added[channel] += weight * color[channel];
-            }
-            *sum = added;
+        let pixels = run.pixels();
+        let (before, end) = (pixels.start % LANES, pixels.end.next_multiple_of(LANES));
+        let groups = pixels.start - before..end;
+        let weights = weights[next - before..][..groups.len()].as_chunks().0;
+        next += pixels.len();
+        let transmittance = transmittance[groups.clone()].as_chunks_mut().0;
+        let counts = counts[groups.clone()].as_chunks_mut().0;
+        let sums = sums[groups].as_chunks_mut().0;
+        let mut first = 0_usize.wrapping_sub(before);
+        for (((t, n), sums), weights) in transmittance.iter_mut().zip(counts).zip(sums).zip(weights) {
+            blend_group(first, pixels.len(), weights, left, &channels, t, n, sums);
+            first = first.wrapping_add(LANES);
+            // or a compiler makes vectors across groups, and of each group scalars
+            black_box(());
         }
+    }
+}
+
+/// The same for one group, whose first pixel is the run's pixel `first`, or comes before it.
+#[inline(always)]
+#[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+#[expect(clippy::cast_possible_truncation, reason = "pixels of a tile")]
+#[expect(clippy::too_many_arguments, reason = "all of what a group has")]
+fn blend_group(
+    first: usize,
+    len: usize,
+    weights: &[f32; LANES],
+    left: f64,
+    channels: &[f32; CHANNELS * LANES],
+    transmittance: &mut [f64; LANES],
+    counts: &mut [u32; LANES],
+    sums: &mut [[f32; CHANNELS]; LANES],
+) {
+    let (first, len) = (first as u32, len as u32);
+    let mut inside = [0; LANES];
+    for lane in 0..LANES {
+        inside[lane] = if first.wrapping_add(lane as u32) < len { u32::MAX } else { 0 };
+    }
+    for lane in 0..LANES {
+        transmittance[lane] *= if inside[lane] != 0 { left } else { 1.0 };
+    }
+    for lane in 0..LANES {
+        counts[lane] = counts[lane].wrapping_sub(inside[lane]);
+    }
+    let mut kept = [0.0; LANES];
+    for lane in 0..LANES {
+        kept[lane] = f32::from_bits(weights[lane].to_bits() & inside[lane]);
+    }
+    let mut of_channels = [0.0; CHANNELS * LANES];
+    for (i, weight) in of_channels.iter_mut().enumerate() {
+        *weight = kept[i / CHANNELS];
+    }
+    for (i, sum) in sums.as_flattened_mut().iter_mut().enumerate() {
+        *sum += of_channels[i] * channels[i];
     }
 }
 

@@ -1,19 +1,16 @@
 //! The weights of a primitive's fragments, as its sums want them.
 
+use super::kernels::LANES;
 use crate::raster::{Cover, Premultiplied};
 use crate::weight::Weighting;
 
 /// What a primitive of one colour and one weight adds to the sums: the weight at its depth times the colour.
 #[inline(always)]
 #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
-pub fn constant_term(
-    weighting: Option<&Weighting>,
-    depth: Option<f32>,
-    color: Premultiplied,
-    weight: &mut Vec<f32>,
-) -> [f32; 4] {
+pub fn constant_term(weighting: Option<&Weighting>, depth: Option<f32>, color: Premultiplied) -> [f32; 4] {
     let (Some(weighting), Some(depth)) = (weighting, depth) else { return color };
-    weighting.evaluate_here(&[depth], &[color[3]], weight);
+    let mut weight = [0.0];
+    weighting.evaluate_here(&[depth], &[color[3]], &mut weight);
     color.map(|channel| weight[0] * channel)
 }
 
@@ -26,10 +23,38 @@ pub fn weigh_flat(
     cover: &Cover<'_, '_>,
     alpha: f32,
     alphas: &mut Same,
-    weights: &mut Vec<f32>,
+    weights: &mut Roomy,
 ) {
-    let len = cover.pixels.next_multiple_of(8);
-    weighting.evaluate_here(&cover.depth[..len], alphas.times(alpha, len), weights);
+    let len = cover.pixels.next_multiple_of(LANES);
+    weighting.evaluate_here(&cover.depth[..len], alphas.times(alpha, len), weights.resized(len));
+}
+
+/// Numbers with room for [`LANES`] more before the first and behind the last, whatever is in it.
+#[derive(Default)]
+pub struct Roomy(Vec<f32>);
+
+impl Roomy {
+    /// So many of whatever value, to be written.
+    #[inline]
+    fn resized(&mut self, len: usize) -> &mut [f32] {
+        let Self(numbers) = self;
+        if numbers.len() < len + 2 * LANES {
+            numbers.resize(len + 2 * LANES, 0.0);
+        }
+        &mut numbers[LANES..LANES + len]
+    }
+
+    /// From the first number on.
+    #[inline]
+    pub fn numbers(&self) -> &[f32] {
+        &self.0[LANES..]
+    }
+
+    /// With the room before the first.
+    #[inline]
+    pub fn with_room(&self) -> &[f32] {
+        &self.0
+    }
 }
 
 /// One number many times; the next primitive often needs the same again.
