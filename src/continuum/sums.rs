@@ -152,23 +152,58 @@ pub struct SumsOf<'a> {
     pub coverage: &'a [f64],
     /// Fragments per pixel.
     pub counts: &'a [u32],
-    /// The opaque colours behind them, one per pixel.
-    pub background: &'a [[f32; 3]],
+    /// The opaque colours behind them.
+    pub background: Behind<'a>,
+}
+
+/// What is behind many pixels.
+#[derive(Debug, Clone, Copy)]
+pub enum Behind<'a> {
+    /// The same everywhere.
+    One([f32; 3]),
+    /// A colour per pixel.
+    Each(&'a [[f32; 3]]),
+}
+
+impl Behind<'_> {
+    fn at(&self, pixel: usize) -> [f32; 3] {
+        match self {
+            Self::One(color) => *color,
+            Self::Each(colors) => colors[pixel],
+        }
+    }
 }
 
 impl SumsOf<'_> {
+    /// How many pixels there are.
+    fn pixels(&self) -> usize {
+        self.counts.len()
+    }
+
     /// [`BlendSums::over`] for all pixels: its arithmetic, operation by operation.
     pub fn over(&self, out: &mut FinishedPixels) {
-        out.resize(self.background.len());
+        out.resize(self.pixels());
         over(*self, out.planes_mut());
     }
 }
 
 #[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
-fn over(sums: SumsOf<'_>, [r, g, b, share]: [&mut [f64]; 4]) {
+fn over(sums: SumsOf<'_>, planes: [&mut [f64]; 4]) {
+    match sums.background {
+        Behind::One(color) => over_by(sums, |_| color, planes),
+        Behind::Each(colors) => {
+            let colors = &colors[..sums.pixels()];
+            over_by(sums, |i| colors[i], planes);
+        }
+    }
+}
+
+#[inline(always)]
+#[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+fn over_by(sums: SumsOf<'_>, background: impl Fn(usize) -> [f32; 3], [r, g, b, share]: [&mut [f64]; 4]) {
     // slices of one length need no checks, and the loop becomes one of vectors across the pixels
-    let pixels = sums.background.len();
-    let (weighted, background) = (&sums.weighted[..pixels], &sums.background[..pixels]);
+    let pixels = sums.pixels();
+    let weighted = &sums.weighted[..pixels];
     let (transmittance, coverage) = (&sums.transmittance[..pixels], &sums.coverage[..pixels]);
     let (r, g, b, share) = (&mut r[..pixels], &mut g[..pixels], &mut b[..pixels], &mut share[..pixels]);
     let finite = |sum: f32| f64::from(if sum < f32::MAX { sum } else { f32::MAX });
@@ -182,9 +217,10 @@ fn over(sums: SumsOf<'_>, [r, g, b, share]: [&mut [f64]; 4]) {
             let blended = of_sums * finite(sum) + t * f64::from(behind);
             if blended < largest { blended } else { largest }
         };
-        r[i] = blend(red, background[i][0]);
-        g[i] = blend(green, background[i][1]);
-        b[i] = blend(blue, background[i][2]);
+        let behind = background(i);
+        r[i] = blend(red, behind[0]);
+        g[i] = blend(green, behind[1]);
+        b[i] = blend(blue, behind[2]);
         share[i] = t;
     }
 }
@@ -229,15 +265,14 @@ pub trait Blended: Send + Sync {
 
 /// [`Blended::finish`] pixel by pixel.
 pub fn finish_each<T: Blended + ?Sized>(technique: &T, pixels: &SumsOf<'_>, out: &mut FinishedPixels) {
-    out.resize(pixels.background.len());
-    for (i, &background) in pixels.background.iter().enumerate() {
-        let count = pixels.counts[i];
+    out.resize(pixels.pixels());
+    for (i, &count) in pixels.counts.iter().enumerate() {
         let sums = BlendSums {
             weighted: Vec4::from(pixels.weighted[i]),
             transmittance: pixels.transmittance[i],
             coverage: pixels.coverage[i],
         };
-        let background = Vec3::from(background).as_dvec3();
+        let background = Vec3::from(pixels.background.at(i)).as_dvec3();
         let resolved = match count {
             0 => Resolved::background(background),
             _ => technique.finish(&sums.read(count as usize), background),

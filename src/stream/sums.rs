@@ -14,7 +14,7 @@ mod rows;
 mod weigh;
 
 use super::{Stopwatch, flat_color, shade};
-use crate::continuum::sums::{Blended, FAINT, SumsOf};
+use crate::continuum::sums::{Behind, Blended, FAINT, SumsOf};
 use crate::raster::{Cover, Opaque, Premultiplied, Rect, Sink, Where};
 use crate::resolve::nanos_since;
 use crate::technique::FinishedPixels;
@@ -253,14 +253,15 @@ impl<'a> TileSums<'a> {
     pub fn finish(&self, v: usize, places: Range<usize>, background: &Opaque, out: &mut FinishedPixels) {
         let (technique, place) = self.variants[v];
         let at = self.indices(places.clone());
-        // the first are as good as any, and in the cache
-        let behind = if background.is_one_color() { 0..places.len() } else { places };
+        let colors = background.colors();
+        let behind =
+            if background.is_one_color() { Behind::One(colors[0]) } else { Behind::Each(&colors[places]) };
         let sums = SumsOf {
             weighted: &self.sums.weighted[place][at.clone()],
             transmittance: &self.sums.transmittance[at.clone()],
             coverage: &self.sums.coverage[at.clone()],
             counts: &self.sums.counts[at],
-            background: &background.colors()[behind],
+            background: behind,
         };
         technique.finish_all(&sums, out);
     }

@@ -66,8 +66,8 @@ fn blend_group(
 ) {
     let (first, len) = (first as u32, len as u32);
     let mut inside = [0; LANES];
-    for lane in 0..LANES {
-        inside[lane] = if first.wrapping_add(lane as u32) < len { u32::MAX } else { 0 };
+    for (lane, inside) in inside.iter_mut().enumerate() {
+        *inside = if first.wrapping_add(lane as u32) < len { u32::MAX } else { 0 };
     }
     for lane in 0..LANES {
         transmittance[lane] *= if inside[lane] != 0 { left } else { 1.0 };
