@@ -37,6 +37,8 @@ struct VaryingColor {
 override perspective: bool = true;
 // Fragments that neither cover nor emit are fragments, too.
 override shows_zero_fragments: bool = false;
+// Depths are those of the CPU to the bit, not only to a unit or two in the last place.
+override exact_depths: bool = true;
 // What primitives of the scene may have. Devices that run both sides of a branch pay for what there is none of.
 override has_outlines: bool = true;
 override has_slopes: bool = true;
@@ -182,11 +184,21 @@ fn depth_of(placed: Placed, d: vec2f) -> f32 {
     if !has_slopes {
         return nearest;
     }
-    let value = linear(placed.depth_at.xyz, placed.depth_x.xyz, placed.depth_y, d);
-    var depth = value.x;
-    if perspective {
-        // the function is that of a power of two over the depth
-        depth = bitcast<f32>(bitcast<u32>(farthest) & 0x7f800000u) * reciprocal(value);
+    // in perspective, the function is that of a power of two over the depth
+    let unit = bitcast<f32>(bitcast<u32>(farthest) & 0x7f800000u);
+    var depth: f32;
+    if exact_depths {
+        let value = linear(placed.depth_at.xyz, placed.depth_x.xyz, placed.depth_y, d);
+        depth = value.x;
+        if perspective {
+            depth = unit * reciprocal(value);
+        }
+    } else {
+        let parts = placed.depth_at.xy + (placed.depth_x.xy * d.x + placed.depth_y.xy * d.y);
+        depth = parts.x + parts.y;
+        if perspective {
+            depth = unit / depth;
+        }
     }
     // comparisons that a number which is none does not pass; where the range is one depth, that is left
     depth = select(nearest, depth, depth > nearest);

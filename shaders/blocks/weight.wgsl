@@ -35,7 +35,8 @@ fn limit_mb(x: f32) -> f32 {
 }
 
 fn formula_of(weight: Weight, z: f32, a: f32) -> f32 {
-    let far = z / 200.0;
+    // times an inverse, not divided by: the same to an ulp, and much faster where it is the processor that divides
+    let far = z * (1.0 / 200.0);
     let far_2 = far * far;
     let far_6 = far_2 * far_2 * far_2;
     switch WEIGHT_FORMULA {
@@ -44,11 +45,13 @@ fn formula_of(weight: Weight, z: f32, a: f32) -> f32 {
         }
         // MB13 eq. 7
         case 1u: {
-            return a * limit_mb(10.0 / (1e-5 + (z / 5.0) * (z / 5.0) + far_6));
+            let x = z * (1.0 / 5.0);
+            return a * limit_mb(10.0 / (1e-5 + x * x + far_6));
         }
         // eq. 8
         case 2u: {
-            return a * limit_mb(10.0 / (1e-5 + (z / 10.0) * (z / 10.0) * (z / 10.0) + far_6));
+            let x = z * (1.0 / 10.0);
+            return a * limit_mb(10.0 / (1e-5 + x * x * x + far_6));
         }
         // eq. 9
         case 3u: {

@@ -112,6 +112,7 @@ pub fn two_pass_form(params: &Params, view: &View, own: &Own<'_>) -> Result<Form
             targets_block: TWO_PASS_TARGETS,
             by_depth: None,
             in_registers: Some(registers(own, finds_bounds, layers)),
+            near_depths: false,
             words: own.words,
         }),
         shows_zero_fragments: false,

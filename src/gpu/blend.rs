@@ -4,7 +4,7 @@
 use super::canvas::{Canvas, Resolve};
 use super::device::Connection;
 use super::draw::{Gpu, Image, Stop, attachment, draw_primitives};
-use super::draws::Draws;
+use super::draws::{Draws, Known};
 use super::form::{BlendTarget, Blending, Draw, Form, background_module};
 use super::layouts::{Entry, Layouts, Reading, Reads, attachment_bytes, blended, plain};
 use super::picture::{Picture, buffer};
@@ -324,7 +324,8 @@ impl Job<'_> {
     ) -> Result<()> {
         let device = &self.connection.device;
         let first_output = part.first().map_or(0, |&first| self.place_of(draw, first));
-        let draws = self.picture.draws(self.form.shows_zero_fragments);
+        let known = self.picture.known(self.form.shows_zero_fragments);
+        let draws = Draws::Primitives(Known { near_depths: self.blending.near_depths, ..known });
         let state = |&(i, _): &(usize, usize)| {
             let Some(format) = self.targets.formats[i] else { unreachable!("it is drawn into") };
             blended(&self.blending.targets[i], format)

@@ -25,16 +25,19 @@ pub enum Draws {
 pub struct Known {
     pub perspective: bool,
     pub zero_fragments: bool,
+    /// Whether depths may be a unit or two in the last place off, where no opaque surface is compared with them.
+    pub near_depths: bool,
     pub opaque: bool,
     pub traits: Traits,
 }
 
 impl Known {
     fn constants(self) -> Vec<(&'static str, f64)> {
-        let Self { perspective, zero_fragments, opaque, traits } = self;
+        let Self { perspective, zero_fragments, near_depths, opaque, traits } = self;
         vec![
             ("perspective", flag(perspective)),
             ("shows_zero_fragments", flag(zero_fragments)),
+            ("exact_depths", flag(opaque || !near_depths)),
             ("has_opaque", flag(opaque)),
             ("has_outlines", flag(traits.outlines)),
             ("has_slopes", flag(traits.slopes)),

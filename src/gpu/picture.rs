@@ -362,7 +362,7 @@ impl Picture {
     /// What is known of its primitives.
     pub fn known(&self, zero_fragments: bool) -> Known {
         let Self { perspective, has_opaque: opaque, traits, .. } = *self;
-        Known { perspective, zero_fragments, opaque, traits }
+        Known { perspective, zero_fragments, near_depths: false, opaque, traits }
     }
 
     /// The constants of a pipeline that makes its image.

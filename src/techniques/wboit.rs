@@ -105,7 +105,9 @@ fn gpu(params: &Params, _view: &View) -> Result<Form> {
             ("accumulate_listing3", "resolve_listing3", targets)
         }
     };
-    let weight = Weighting::from_params(params)?.shading(params)?;
+    let weighting = Weighting::from_params(params)?;
+    let near_depths = weighting.is_gentle();
+    let weight = weighting.shading(params)?;
     let largest_weights = formats.find("weights").map_or(f64::MAX, |format| format.max_finite(0));
     let more = [
         Number::float(format.max_finite(0)),
@@ -116,7 +118,7 @@ fn gpu(params: &Params, _view: &View) -> Result<Form> {
         shader: include_str!("../../shaders/wboit.wgsl"),
         numbers: weight.numbers.into_iter().chain(more).collect(),
         weight: Some(weight.module),
-        path: Path::Blended(Blending::once(draw, resolve, targets)),
+        path: Path::Blended(Blending { near_depths, ..Blending::once(draw, resolve, targets) }),
         shows_zero_fragments: false,
         colored_transmittance: false,
     })

@@ -89,6 +89,12 @@ impl Planes {
         Ok(Self::new(near, far))
     }
 
+    /// Whether so much is between them that [`Planes::one_minus_depth`] loses no digits before it is next to nothing.
+    fn are_apart(self) -> bool {
+        // near / (far - near)
+        self.scale * self.inverse_far <= 0.01
+    }
+
     /// 1 − d with d of MB13 eq. 11 clamped to [0, 1]: 1 at the near plane, 0 at the far one. Written as a
     /// difference of inverses, since 1 − d itself cancels for most of the scene.
     fn one_minus_depth(self, z: f32) -> f32 {
@@ -321,6 +327,20 @@ impl Weighting {
             (Function::Own(mine), Function::Own(theirs)) => mine.is_same(theirs) && self.seen == other.seen,
             _ => false,
         }
+    }
+
+    /// Whether a weight changes by a few units in the last place where its depth changes by one.
+    pub fn is_gentle(&self) -> bool {
+        // powers of the depth no higher than this
+        const STEEPEST: f32 = 8.0;
+        let gentle = match &self.function {
+            Function::Published(Formula::Exp { .. }) | Function::Own(_) => false,
+            Function::Published(Formula::InvPow { k }) => *k <= STEEPEST,
+            Function::Published(Formula::Mb10(planes) | Formula::I3d16(planes)) => planes.are_apart(),
+            Function::Published(_) => true,
+        };
+        // a shift to the eye takes digits away
+        gentle && self.seen.shift >= 0.0
     }
 
     /// Whether it is somebody's own, which is best evaluated for many fragments at once.

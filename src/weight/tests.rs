@@ -92,6 +92,31 @@ fn scale_and_shift_move_the_depth_down_to_a_bound() {
 }
 
 #[test]
+fn gentle_weights_forgive_a_unit_in_the_last_place_of_a_depth() {
+    let steep = |formula: Formula| {
+        let weighting = Weighting::new(Function::Published(formula), 1.0, 0.0);
+        let depths: Vec<f32> = (0..20_000_u16).map(|i| 0.1 + 99.9 * f32::from(i) / 20_000.0).collect();
+        let beside: Vec<f32> = depths.iter().map(|z| z.next_up()).collect();
+        let (mut at, mut next) = (Vec::new(), Vec::new());
+        weighting.evaluate(&depths, &vec![0.5; depths.len()], &mut at);
+        weighting.evaluate(&beside, &vec![0.5; depths.len()], &mut next);
+        let ulps = at.iter().zip(&next).map(|(a, b)| a.to_bits().abs_diff(b.to_bits()));
+        (weighting.is_gentle(), ulps.max().unwrap())
+    };
+    for formula in formulas(0.1, 100.0) {
+        let (gentle, ulps) = steep(formula);
+        assert!(ulps <= 24 || !gentle, "{formula:?}: {ulps}");
+        assert_eq!(gentle, !matches!(formula, Formula::Exp { .. }), "{formula:?}");
+    }
+    for formula in [Formula::InvPow { k: 60.0 }, Formula::Mb10(Planes::new(99.0, 100.0))] {
+        let (gentle, ulps) = steep(formula);
+        assert!(!gentle && ulps > 50, "{formula:?}: {ulps}");
+    }
+    let shifted = |shift| Weighting::new(Function::Published(Formula::Mb7), 1.0, shift).is_gentle();
+    assert_eq!([shifted(-4.99), shifted(2.0)], [false, true], "digits that cancel");
+}
+
+#[test]
 fn weights_stay_within_their_bounds() {
     let depths = [0.0, 1e-30, 1.0, 1e10, 1e30, f32::MAX];
     let formulas = formulas(1e-30, 1e30).into_iter().chain([

@@ -163,6 +163,7 @@ fn layered(params: &Params, view: &View) -> Result<Form> {
                 block: include_str!("../../../shaders/lwboit.wgsl"),
                 stream: as_stream(finds_bounds),
             }),
+            near_depths: false,
             words: 0,
         }),
         shows_zero_fragments: false,
