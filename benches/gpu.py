@@ -21,6 +21,7 @@ from arrays import Arrays
 from harness import SCENES, Run, markdown_table, plot_style, pooled, scene, three_digits
 from pareto import front
 from peers import PEERS
+from worker import LEAST, WARM_UP
 
 import oitlab
 
@@ -113,20 +114,39 @@ def paths(run: Run, size: tuple[int, int]) -> dict[str, dict[str, dict[str, floa
     return found
 
 
+def passes_of_wboit(what: oitlab.Scene, run: Run) -> list[float]:
+    """Milliseconds of all passes of a frame, of as many frames as `worker.measure` takes of a peer."""
+    times: list[float] = []
+    warm_up, least = (WARM_UP, LEAST) if run.repeats > 1 else (0.0, 0.0)
+    warm = time.perf_counter() + warm_up
+    oitlab.gpu.render(what, "wboit")
+    while time.perf_counter() < warm:
+        oitlab.gpu.render(what, "wboit")
+    spent = 0.0
+    while (len(times) < run.repeats or spent < least) and (not times or spent < run.budget):
+        start = time.perf_counter()
+        stats = oitlab.gpu.render(what, "wboit").stats
+        spent += time.perf_counter() - start
+        times.append(stats.raster_ms + stats.resolve_ms)
+    return times
+
+
 def beside_peers(run: Run) -> dict[str, dict[str, Any]]:
-    """Measure the WBOIT peers on every scene, each in a process of its own, and wboit."""
+    """Measure the WBOIT peers on every scene, each in a process of its own, between two runs of wboit."""
     modes = [(p, mode) for p in run.peers for mode, kind in PEERS[p].items() if kind == "wboit"]
     found: dict[str, dict[str, Any]] = {}
     for name in SCENES:
         with tempfile.TemporaryDirectory() as temporary:
             folder = Path(temporary)
             Arrays.of(scene(name, run)).save(folder / "scene.npz")
-            found[name] = {"wboit": frames(scene(name, run), "wboit", {}, run)}
-            del found[name]["wboit"]["frame"]
+            ours = passes_of_wboit(scene(name, run), run)
+            found[name] = {}
             for peer, mode in modes:
                 result = one(run.peer_python, peer, mode, folder, run)
                 if "times_ms" in result:
                     found[name][f"{peer} {mode}"] = pooled(result["times_ms"])
+            ours += passes_of_wboit(scene(name, run), run)
+            found[name]["wboit"] = pooled(ours)
     return found
 
 

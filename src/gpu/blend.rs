@@ -3,7 +3,7 @@
 
 use super::canvas::{Canvas, Resolve};
 use super::device::Connection;
-use super::draw::{Gpu, Image, Stop, attachment, draw_primitives};
+use super::draw::{Gpu, Image, Stop, attachment, draw_primitives, texel_bytes};
 use super::draws::{Draws, Known};
 use super::form::{BlendTarget, Blending, Draw, Form, background_module};
 use super::layouts::{Entry, Layouts, Reading, Reads, attachment_bytes, blended, plain};
@@ -13,7 +13,7 @@ use crate::error::{Error, Result};
 use std::ops::Range;
 use wgpu::{
     BindGroup, BindGroupDescriptor, BindGroupEntry, BindingResource, Buffer, BufferUsages, Color,
-    ColorWrites, Extent3d, LoadOp, StoreOp, TextureDescriptor, TextureDimension, TextureFormat,
+    ColorWrites, DeviceType, Extent3d, LoadOp, StoreOp, TextureDescriptor, TextureDimension, TextureFormat,
     TextureUsages, TextureView, TextureViewDescriptor, TextureViewDimension,
 };
 
@@ -22,6 +22,9 @@ const OUTPUTS: u32 = 8;
 
 /// How many times as much as a buffer may hold all targets take together; an image of more is made in parts.
 const BUFFERS: u64 = 4;
+
+/// Rows of which fewer at a time are not worth it where all would fit.
+const LEAST_ROWS: u32 = 256;
 
 /// The targets of a form, for as many rows of the image as are worked on at a time.
 #[derive(Debug)]
@@ -102,8 +105,21 @@ impl Gpu {
             u64::from(texel) * target.layers.map_or(1, |(_, layers)| layers.into())
         });
         let rows = |all: u64, row: u64| u32::try_from(all / row.max(1)).unwrap_or(u32::MAX);
-        let fit = rows(BUFFERS * most, bytes.sum::<u64>() * width).min(rows(most, words));
-        Ok(self.rows_per_band(picture, form).min(fit).clamp(1, picture.height.max(1)))
+        let of_targets = bytes.sum::<u64>() * width;
+        let fit = rows(BUFFERS * most, of_targets).min(rows(most, words));
+        let cached = rows(self.cached_bytes(picture), of_targets + texel_bytes(form) * width).max(LEAST_ROWS);
+        let fit = fit.min(self.rows_per_band(picture, form)).min(cached).clamp(1, picture.height.max(1));
+        // as many in each part
+        Ok(picture.height.div_ceil(picture.height.div_ceil(fit).max(1)).max(1))
+    }
+
+    /// Bytes of targets and image that are best worked on at a time. Where the device is the processor, they stay in its caches
+    /// from one pass to the next, if drawing the geometry once more for each part of the image costs little beside.
+    fn cached_bytes(&self, picture: &Picture) -> u64 {
+        const CACHE: u64 = 20 << 20;
+        const FEW_PRIMITIVES: u32 = 4096;
+        let is_processor = self.connection.info.device_type == DeviceType::Cpu;
+        if is_processor && picture.primitives() <= FEW_PRIMITIVES { CACHE } else { u64::MAX }
     }
 }
 

@@ -370,6 +370,11 @@ impl Picture {
         [("has_opaque", flag(self.has_opaque))]
     }
 
+    /// How many primitives there are to draw.
+    pub fn primitives(&self) -> u32 {
+        self.batches.iter().map(|(_, count)| count).sum()
+    }
+
     /// What there is of it.
     pub fn totals(&self) -> Totals {
         let fragments = self.rows.iter().map(|row| u64::from(row[0])).sum();
