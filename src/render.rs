@@ -38,6 +38,7 @@ use std::ops::Range;
 use std::sync::Arc;
 use std::time::Instant;
 use tally::Tally;
+use tiles::Piece;
 
 /// What can be rendered.
 #[derive(Debug, Clone, Copy)]
@@ -233,11 +234,13 @@ impl<'a> Job<'a> {
         let both = |a: Tally, b| Ok(a.merge(&b));
         // a band's tiles are cut where it is drawn, not one after the other for all threads
         let bands = target.bands(tile_size).into_par_iter().enumerate().map(|(row, band)| {
-            let rects = (0..raster.columns()).map(|column| raster.rect(column, row));
-            let draw = |worker: &mut Lent<'_, _, _>, (column, mut patch): (_, Patch<'_, S>)| {
-                self.tile(raster, (column, row), &mut patch, worker.get())
+            let pieces = self.pieces(raster, row);
+            let rects = pieces.iter().map(|piece| piece.rect(raster, row));
+            let draw = |worker: &mut Lent<'_, _, _>, (piece, mut patch): (&Piece, Patch<'_, S>)| match piece {
+                Piece::Tile(column) => self.tile(raster, (*column, row), &mut patch, worker.get()),
+                Piece::Empty(columns) => Ok(self.clear(raster, columns.len(), &mut patch)),
             };
-            let patches = band.tiles(tile_size, rects).into_par_iter().enumerate();
+            let patches = pieces.par_iter().zip(band.pieces(rects));
             patches.map_init(|| workers.lend(), draw).try_reduce(nothing, both)
         });
         let tally = bands.try_reduce(nothing, both)?;

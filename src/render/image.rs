@@ -109,10 +109,9 @@ struct BandImage<'a, S> {
 }
 
 impl<'a, S: Sample> Band<'a, S> {
-    /// The band cut into tiles of so many columns, which are these.
-    pub fn tiles(self, columns: u32, rects: impl Iterator<Item = Rect>) -> Vec<Patch<'a, S>> {
-        let (width, columns) = (self.width, columns as usize);
-        let images = self.images.len();
+    /// The band cut into pieces from left to right, which are these.
+    pub fn pieces(self, rects: impl Iterator<Item = Rect>) -> Vec<Patch<'a, S>> {
+        let (width, images) = (self.width, self.images.len());
         let mut patches: Vec<_> =
             rects.map(|rect| Patch { rect, images: Vec::with_capacity(images) }).collect();
         for (v, BandImage { color, transmittance, channels }) in self.images.into_iter().enumerate() {
@@ -120,10 +119,13 @@ impl<'a, S: Sample> Band<'a, S> {
                 patch.images.push(PatchImage::new(channels, patch.rect.height()));
             }
             let rows = color.chunks_mut(3 * width).zip(transmittance.chunks_mut(channels * width));
-            for (color, transmittance) in rows {
-                let parts = color.chunks_mut(3 * columns).zip(transmittance.chunks_mut(channels * columns));
-                for (patch, (color, transmittance)) in patches.iter_mut().zip(parts) {
-                    patch.images[v].rows.push(Row { color, transmittance });
+            for (mut color, mut transmittance) in rows {
+                for patch in &mut patches {
+                    let columns = patch.rect.width();
+                    let (color_here, color_right) = color.split_at_mut(3 * columns);
+                    let (share_here, share_right) = transmittance.split_at_mut(channels * columns);
+                    patch.images[v].rows.push(Row { color: color_here, transmittance: share_here });
+                    (color, transmittance) = (color_right, share_right);
                 }
             }
         }
