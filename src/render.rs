@@ -7,6 +7,7 @@ mod diagnose;
 mod gpu;
 mod image;
 mod inspect;
+mod pieces;
 mod plan;
 mod request;
 mod tally;
@@ -31,6 +32,7 @@ use crate::scene::Scene;
 use crate::technique::{Batch, DepthComplexity};
 use crate::threads::{Lent, Workers, with_threads};
 use image::{Patch, Target, VariantImage};
+use pieces::Piece;
 use plan::Plan;
 use rayon::prelude::*;
 use request::Asked;
@@ -38,7 +40,6 @@ use std::ops::Range;
 use std::sync::Arc;
 use std::time::Instant;
 use tally::Tally;
-use tiles::Piece;
 
 /// What can be rendered.
 #[derive(Debug, Clone, Copy)]

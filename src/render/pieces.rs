@@ -1,0 +1,60 @@
+//! A row of tiles in pieces, each of which is written by one thread.
+
+use super::Job;
+use super::image::Patch;
+use super::tally::Tally;
+use crate::frame::Sample;
+use crate::raster::{Raster, Rect};
+use std::ops::Range;
+
+/// A piece of a row of tiles.
+pub(super) enum Piece {
+    /// The tile in this column.
+    Tile(usize),
+    /// Neighbouring tiles without anything to draw.
+    Empty(Range<usize>),
+}
+
+impl Piece {
+    /// Its pixels.
+    pub(super) fn rect(&self, raster: &Raster<'_>, row: usize) -> Rect {
+        match self {
+            Self::Tile(column) => raster.rect(*column, row),
+            Self::Empty(columns) => {
+                Rect { x1: raster.rect(columns.end - 1, row).x1, ..raster.rect(columns.start, row) }
+            }
+        }
+    }
+}
+
+impl Job<'_> {
+    /// So many tiles without anything to draw.
+    pub(super) fn clear<S: Sample>(
+        &self,
+        raster: &Raster<'_>,
+        tiles: usize,
+        patch: &mut Patch<'_, S>,
+    ) -> Tally {
+        patch.clear(raster.background());
+        Tally {
+            empty_tiles: tiles as u64,
+            empty_pixels: patch.rect().area() as u64,
+            ..Tally::new(self.variants.len())
+        }
+    }
+
+    /// A row of tiles in pieces.
+    pub(super) fn pieces(&self, raster: &Raster<'_>, row: usize) -> Vec<Piece> {
+        let mut pieces: Vec<Piece> = Vec::with_capacity(raster.columns());
+        for column in 0..raster.columns() {
+            match pieces.last_mut() {
+                _ if !(self.options.skip && raster.is_empty_tile(column, row)) => {
+                    pieces.push(Piece::Tile(column));
+                }
+                Some(Piece::Empty(columns)) => columns.end += 1,
+                _ => pieces.push(Piece::Empty(column..column + 1)),
+            }
+        }
+        pieces
+    }
+}
