@@ -227,6 +227,25 @@ LEFT_BEHIND: list[tuple[str, dict[str, Any]]] = [
 ]
 
 
+@pytest.mark.parametrize("size", [(1300, 700), (5000, 300)])
+def test_large_images_have_the_weights_of_the_cpu(size: tuple[int, int]) -> None:
+    # depths that are only weighed, far from where they start, and parts that a processor's caches hold
+    rng = np.random.default_rng(5)
+    # from the near plane to the far one
+    z = np.exp(rng.uniform(np.log(0.11), np.log(98), (8, 3)))
+    z[:, 0], z[:, 1] = 0.11, 98
+    x, y = rng.uniform(-1, 1, (2, 8, 3))
+    corners = np.stack([x * size[0] / size[1] * 0.6 * z, y * 0.6 * z, -z], -1)
+    meshes = [oitlab.Mesh(c, [(0, 1, 2)], color=(*rng.uniform(0, 1, 3), 0.5)) for c in corners]
+    camera = oitlab.Camera(eye=(0, 0, 0), target=(0, 0, -1), fov_y=60)
+    scene = oitlab.Scene(meshes, camera=camera, width=size[0], height=size[1])
+    for weight in ("mb7", "inv_pow"):
+        device = oitlab.render(scene, "wboit", {"weight": weight}, backend="gpu")
+        host = oitlab.render(scene, "wboit", {"weight": weight})
+        np.testing.assert_allclose(device.color, host.color, rtol=0, atol=1e-6)
+        np.testing.assert_allclose(device.transmittance, host.transmittance, rtol=0, atol=1e-6)
+
+
 def test_targets_of_an_earlier_call_leave_nothing_behind() -> None:
     """Targets and images are kept between calls: full ones, then empty ones of the same kind."""
     full = SCENES["smoke"]

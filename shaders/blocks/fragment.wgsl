@@ -120,6 +120,12 @@ fn placed_at(index: u32, position: vec4f, first_output: u32) -> Placed {
     placed.depth_at = vec4f((*primitive).depth_at, (*primitive).depth_range.x);
     placed.depth_x = vec4f((*primitive).depth_x, (*primitive).depth_range.y);
     placed.depth_y = (*primitive).depth_y;
+    if !exact_depths {
+        // in two parts, of which the second may be rounded
+        placed.depth_at.y += placed.depth_at.z;
+        placed.depth_x.y += placed.depth_x.z;
+        placed.depth_y.y += placed.depth_y.z;
+    }
     placed.color = (*primitive).color;
     placed.meta_data = vec4u(
         (*primitive).id,

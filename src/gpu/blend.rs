@@ -107,20 +107,24 @@ impl Gpu {
         let rows = |all: u64, row: u64| u32::try_from(all / row.max(1)).unwrap_or(u32::MAX);
         let of_targets = bytes.sum::<u64>() * width;
         let fit = rows(BUFFERS * most, of_targets).min(rows(most, words));
-        let cached = rows(self.cached_bytes(picture), of_targets + texel_bytes(form) * width).max(LEAST_ROWS);
-        let fit = fit.min(self.rows_per_band(picture, form)).min(cached).clamp(1, picture.height.max(1));
-        // as many in each part
-        Ok(picture.height.div_ceil(picture.height.div_ceil(fit).max(1)).max(1))
+        let cached = cached_bytes(self.connection.info.device_type, picture.primitives());
+        let cached = rows(cached, of_targets + texel_bytes(form) * width).max(LEAST_ROWS);
+        Ok(in_even_parts(picture.height, fit.min(self.rows_per_band(picture, form)).min(cached)))
     }
+}
 
-    /// Bytes of targets and image that are best worked on at a time. Where the device is the processor, they stay in its caches
-    /// from one pass to the next, if drawing the geometry once more for each part of the image costs little beside.
-    fn cached_bytes(&self, picture: &Picture) -> u64 {
-        const CACHE: u64 = 20 << 20;
-        const FEW_PRIMITIVES: u32 = 4096;
-        let is_processor = self.connection.info.device_type == DeviceType::Cpu;
-        if is_processor && picture.primitives() <= FEW_PRIMITIVES { CACHE } else { u64::MAX }
-    }
+/// Bytes of targets and image that are best worked on at a time. Where the device is the processor, they stay in its caches
+/// from one pass to the next, if drawing the geometry once more for each part of the image costs little beside.
+fn cached_bytes(device: DeviceType, primitives: u32) -> u64 {
+    const CACHE: u64 = 20 << 20;
+    const FEW_PRIMITIVES: u32 = 4096;
+    if device == DeviceType::Cpu && primitives <= FEW_PRIMITIVES { CACHE } else { u64::MAX }
+}
+
+/// Rows of the parts of an image of which no more than `most` fit: about as many in each.
+fn in_even_parts(height: u32, most: u32) -> u32 {
+    let parts = height.div_ceil(most.max(1)).max(1);
+    height.div_ceil(parts).max(1)
 }
 
 /// What tells targets apart: their formats and numbers of layers, the words beside them, and their size.
@@ -381,6 +385,19 @@ impl Job<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn parts_of_an_image_are_about_even_and_none_is_too_large() {
+        let parts = [(720, 720), (720, 455), (720, u32::MAX), (721, 360), (1, 5), (0, 7), (10, 0)];
+        let rows = parts.map(|(height, most)| in_even_parts(height, most));
+        assert_eq!(rows, [720, 360, 720, 241, 1, 1, 1]);
+    }
+
+    #[test]
+    fn caches_count_where_the_processor_draws_little() {
+        let all = [(DeviceType::Cpu, 4096), (DeviceType::Cpu, 4097), (DeviceType::DiscreteGpu, 5)];
+        assert_eq!(all.map(|(device, count)| cached_bytes(device, count) < u64::MAX), [true, false, false]);
+    }
 
     #[test]
     fn parts_hold_what_the_device_takes_and_nothing_is_left_out() {

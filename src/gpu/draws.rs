@@ -74,3 +74,19 @@ impl Draws {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn depths_that_opaque_surfaces_are_compared_with_are_exact() {
+        let exact = |near_depths, opaque| {
+            let traits = Traits::default();
+            let known = Known { perspective: true, zero_fragments: false, near_depths, opaque, traits };
+            known.constants().into_iter().find(|(name, _)| *name == "exact_depths").map(|(_, on)| on == 1.0)
+        };
+        assert_eq!([exact(true, false), exact(true, true)], [Some(false), Some(true)]);
+        assert_eq!([exact(false, false), exact(false, true)], [Some(true); 2]);
+    }
+}

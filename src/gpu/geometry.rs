@@ -252,6 +252,13 @@ mod tests {
                 }
                 let exact = at + x * wide_x + y * wide_y;
                 let most = at.abs() + (x * wide_x).abs() + (y * wide_y).abs();
+                // the last two in one, as where depths are only weighed
+                let of_first = |[first, ..]: [f32; 3]| first;
+                let of_rest = |[_, second, third]: [f32; 3]| second + third;
+                let [first, rest] = [&of_first as &dyn Fn([f32; 3]) -> f32, &of_rest]
+                    .map(|of| of(parts[0]) + (of(parts[1]) * px + of(parts[2]) * py));
+                let near = (f64::from(first + rest) - exact).abs();
+                assert!(near <= 6.1e-8 * exact.abs() + 2e-12 * most + 1e-40, "{parts:?} {dx} {dy}: {near}");
                 // the least that an f32 holds, where numbers are that small
                 let least = f64::from(f32::from_bits(1)) * (1.0 + wide_x.abs() + wide_y.abs());
                 let off = (sum - exact).abs();

@@ -341,6 +341,7 @@ impl TileSums<'_> {
             return false;
         };
         if !color.iter().all(|channel| channel.is_finite()) {
+            // the kernels add zero times the colour to pixels beside it
             return false;
         }
         let Some(Weight { weighting: Some(weighting), stopwatch, .. }) = self.weights.first_mut() else {

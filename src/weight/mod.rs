@@ -339,8 +339,8 @@ impl Weighting {
             Function::Published(Formula::Mb10(planes) | Formula::I3d16(planes)) => planes.are_apart(),
             Function::Published(_) => true,
         };
-        // a shift to the eye takes digits away
-        gentle && self.seen.shift >= 0.0
+        // a difference takes digits away
+        gentle && self.seen.scale > 0.0 && self.seen.shift >= 0.0
     }
 
     /// Whether it is somebody's own, which is best evaluated for many fragments at once.

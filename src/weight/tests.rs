@@ -112,8 +112,8 @@ fn gentle_weights_forgive_a_unit_in_the_last_place_of_a_depth() {
         let (gentle, ulps) = steep(formula);
         assert!(!gentle && ulps > 50, "{formula:?}: {ulps}");
     }
-    let shifted = |shift| Weighting::new(Function::Published(Formula::Mb7), 1.0, shift).is_gentle();
-    assert_eq!([shifted(-4.99), shifted(2.0)], [false, true], "digits that cancel");
+    let seen = |scale, shift| Weighting::new(Function::Published(Formula::Mb7), scale, shift).is_gentle();
+    assert_eq!([seen(1.0, -4.99), seen(-1.0, 6.0), seen(9.0, 2.0)], [false, false, true]);
 }
 
 #[test]

@@ -25,8 +25,8 @@ pub struct Blending {
     pub by_depth: Option<bool>,
     /// What stands for targets that are drawn into one after the other, where a pixel's are in registers.
     pub in_registers: Option<Registers>,
-    /// Whether nothing is decided by depths, and what is made of them is as precise with a unit or two in the last place more
-    /// or less.
+    /// Whether nothing is decided by depths but what opaque surfaces hide, and what is made of them is as precise with a unit or
+    /// two in the last place more or less.
     pub near_depths: bool,
     /// Words per pixel of a buffer that all shaders read and write, 0 at first; its binding follows those of the targets.
     pub words: u32,

@@ -161,6 +161,21 @@ fn every_layout_of_wboit_has_its_entry_points() {
 }
 
 #[test]
+fn wboit_only_weighs_depths_by_weights_that_forgive_a_unit() {
+    let wboit = crate::techniques::find("wboit").unwrap();
+    let near = |given: &[(&str, &str)]| {
+        let form = form(wboit, given).unwrap();
+        let Path::Blended(blending) = form.path else { panic!("{form:?}") };
+        blending.near_depths
+    };
+    assert!(near(&[]) && near(&[("weight", "mb10")]));
+    assert!(
+        !near(&[("weight", "exp")]) && !near(&[("weight", "a / z")]),
+        "no exponentials and none of one's own"
+    );
+}
+
+#[test]
 fn every_mode_makes_a_valid_shader() {
     let modes = [
         ("mlab_buckets", ("mode", "depth")),

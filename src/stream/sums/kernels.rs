@@ -18,9 +18,9 @@ const CHANNELS: usize = 4;
 
 /// Attenuates the background, counts the fragments, and adds the weights times one finite colour, in one go.
 ///
-/// Runs are blended in groups of [`LANES`] that begin at multiples of it, where what they need lies in one cache line: there is
-/// room for as many numbers before the first weight and behind the last, and behind the last place. Pixels beside a run are
-/// multiplied by one and get zero added, which changes no bit of theirs: sums begin at +0, so that none is -0.
+/// Runs are blended in groups of [`LANES`] that begin at multiples of it, where vectors lie in one cache line each: there is room for
+/// as many numbers before the first weight and behind the last, and behind the last place. Pixels beside a run are multiplied by
+/// one and get zero added, which changes no bit of theirs: sums begin at +0, so that none is -0, and zero times the colour is zero.
 #[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
 pub fn blend_flat(runs: &[Run], weights: &[f32], color: Premultiplied, places: Places<'_>) {
     let Places { transmittance, counts, sums } = places;
@@ -172,5 +172,43 @@ pub fn add_few(pixels: &[u32], weights: &[f32], color: Premultiplied, sums: &mut
 pub fn add_weighted(weight: f32, color: Premultiplied, sum: &mut [f32; 4]) {
     for (sum, channel) in sum.iter_mut().zip(color) {
         *sum += weight * channel;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::random::hash32;
+
+    #[test]
+    fn groups_have_the_bits_of_single_pixels_and_leave_those_beside_alone() {
+        for columns in [1_u32, 7, 8, 9, 64, 75] {
+            let rows = 9;
+            let places = (columns * rows) as usize;
+            let run = |y: u32| {
+                let (a, b) = (hash32(y, columns, 1, 0, 0) % columns, hash32(y, columns, 2, 0, 0) % columns);
+                let (from, len) = (a.min(b), a.abs_diff(b) + 1);
+                Run { x: from.cast_signed(), y: y.cast_signed(), first: y * columns + from, len }
+            };
+            // some rows are left out
+            let runs: Vec<_> = (0..rows).filter(|y| y % 4 != 2).map(run).collect();
+            let pixels: Vec<_> = runs.iter().flat_map(|run| run.pixels()).collect();
+            let mut weights = vec![f32::NAN; LANES];
+            weights.extend((0..=u16::MAX).take(pixels.len()).map(|n| f32::from(n.wrapping_mul(771)) * 1e-3));
+            weights.extend([f32::INFINITY; LANES]);
+            let color = [0.3, 1e-3, 7.0, 0.4];
+            let (mut transmittance, mut counts) = (vec![0.7; places + LANES], vec![3; places + LANES]);
+            let mut sums = vec![[0.1, 0.0, 2.5, 0.2]; places + LANES];
+            let (mut expected_t, mut expected_n, mut expected) =
+                (transmittance.clone(), counts.clone(), sums.clone());
+            for (n, &i) in pixels.iter().enumerate() {
+                expected_t[i] *= 1.0 - f64::from(color[3]);
+                expected_n[i] += 1;
+                add_weighted(weights[LANES + n], color, &mut expected[i]);
+            }
+            let all = Places { transmittance: &mut transmittance, counts: &mut counts, sums: &mut sums };
+            blend_flat(&runs, &weights, color, all);
+            assert_eq!((transmittance, counts, sums), (expected_t, expected_n, expected), "{columns}");
+        }
     }
 }
