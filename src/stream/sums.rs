@@ -15,7 +15,7 @@ mod weigh;
 
 use super::{Stopwatch, flat_color, shade};
 use crate::continuum::sums::{Behind, Blended, FAINT, SumsOf};
-use crate::raster::{Cover, Opaque, Premultiplied, Rect, Sink, Where};
+use crate::raster::{Cover, LANES, Opaque, Premultiplied, Rect, Sink, Where};
 use crate::resolve::nanos_since;
 use crate::technique::FinishedPixels;
 use crate::weight::Weighting;
@@ -23,7 +23,7 @@ use aligned::Aligned;
 pub use cells::{Cells, RowOfCells};
 use deferred::Deferred;
 use kernels::{
-    LANES, Places, add_constant, add_constant_to_few, add_few, add_flat, add_weighted, attenuate, blend_few,
+    Places, add_constant, add_constant_to_few, add_few, add_flat, add_weighted, attenuate, blend_few,
     blend_flat,
 };
 use pending::Pending;

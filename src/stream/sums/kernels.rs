@@ -1,7 +1,7 @@
 //! What is done with the sums of many pixels at a time: plain loops over the pixels of a run, which a compiler makes
 //! vectors of, wherever the run begins and ends.
 
-use crate::raster::{Premultiplied, Run, Where};
+use crate::raster::{LANES, Premultiplied, Run, Where};
 use multiversion::multiversion;
 use std::hint::black_box;
 
@@ -12,8 +12,6 @@ pub struct Places<'a> {
     pub sums: &'a mut [[f32; 4]],
 }
 
-/// Neighbouring pixels that are blended together.
-pub const LANES: usize = 8;
 const CHANNELS: usize = 4;
 
 /// Attenuates the background, counts the fragments, and adds the weights times one finite colour, in one go.

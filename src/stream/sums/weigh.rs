@@ -1,7 +1,6 @@
 //! The weights of a primitive's fragments, as its sums want them.
 
-use super::kernels::LANES;
-use crate::raster::{Cover, Premultiplied};
+use crate::raster::{Cover, LANES, Premultiplied};
 use crate::weight::Weighting;
 
 /// What a primitive of one colour and one weight adds to the sums: the weight at its depth times the colour.
