@@ -19,9 +19,9 @@ import numpy as np
 from against_peers import one
 from arrays import Arrays
 from harness import SCENES, Run, markdown_table, plot_style, pooled, scene, three_digits
+from pacing import paced
 from pareto import front
 from peers import PEERS
-from worker import LEAST, WARM_UP
 
 import oitlab
 
@@ -115,20 +115,10 @@ def paths(run: Run, size: tuple[int, int]) -> dict[str, dict[str, dict[str, floa
 
 
 def passes_of_wboit(what: oitlab.Scene, run: Run) -> list[float]:
-    """Milliseconds of all passes of a frame, of as many frames as `worker.measure` takes of a peer."""
-    times: list[float] = []
-    warm_up, least = (WARM_UP, LEAST) if run.repeats > 1 else (0.0, 0.0)
-    warm = time.perf_counter() + warm_up
+    """Milliseconds of all passes of a frame, of as many frames as are timed of a peer."""
     oitlab.gpu.render(what, "wboit")
-    while time.perf_counter() < warm:
-        oitlab.gpu.render(what, "wboit")
-    spent = 0.0
-    while (len(times) < run.repeats or spent < least) and (not times or spent < run.budget):
-        start = time.perf_counter()
-        stats = oitlab.gpu.render(what, "wboit").stats
-        spent += time.perf_counter() - start
-        times.append(stats.raster_ms + stats.resolve_ms)
-    return times
+    found = paced(lambda: oitlab.gpu.render(what, "wboit").stats, run.repeats, run.budget)
+    return [stats.raster_ms + stats.resolve_ms for _, stats in found]
 
 
 def beside_peers(run: Run) -> dict[str, dict[str, Any]]:

@@ -18,6 +18,7 @@ os.environ.setdefault("MESA_SHADER_CACHE_DISABLE", "true")  # first frames are m
 
 import numpy as np
 from arrays import Arrays
+from pacing import paced
 
 
 def busy_seconds() -> tuple[float, float]:
@@ -35,32 +36,18 @@ def share_of_others(before: tuple[float, float], seconds: float) -> float:
     return max(0.0, machine - mine) / (seconds * (os.cpu_count() or 1))
 
 
-WARM_UP = 0.25
-LEAST = 1.0
-"""Seconds of frames that are not timed, after the first, and of timed ones where frames are short: the first
-tens of milliseconds of a process tell more about the machine than about the renderer."""
-
-
 def measure(
     adapter: Any, arrays: Arrays, mode: str, repeats: int, budget: float
 ) -> tuple[dict[str, Any], Any]:
-    """Set up and warm up, then render `repeats` times and for `LEAST` seconds, within `budget` seconds.
-
-    A single repetition is a test and not a measurement: it takes no longer than it must.
-    """
+    """Set up, then render as often as `paced` says."""
     before, start = busy_seconds(), time.perf_counter()
     frame: Callable[[], Any] = adapter.setup(arrays, mode)
     image = frame()
     first = time.perf_counter() - start
-    warm_up, least = (WARM_UP, LEAST) if repeats > 1 else (0.0, 0.0)
-    warm = time.perf_counter() + warm_up
-    while time.perf_counter() < warm:
-        image = frame()
     times: list[float] = []
-    while (len(times) < repeats or sum(times) < least) and (not times or sum(times) < budget):
-        begin = time.perf_counter()
-        image = frame()
-        times.append(time.perf_counter() - begin)
+    for seconds, latest in paced(frame, repeats, budget):
+        times.append(seconds)
+        image = latest
     others = share_of_others(before, time.perf_counter() - start)
     image = getattr(frame, "decode", lambda pixels: pixels)(image)[..., :3]
     linear = image / np.float32(255) if image.dtype == np.uint8 else image.astype(np.float32)
