@@ -343,6 +343,37 @@ mod tests {
     }
 
     #[test]
+    fn depths_of_runs_are_those_of_single_pixels_as_far_as_corners_reach() {
+        // in sub-pixels, just within the guard band
+        let far = 65_000 * SUBPIXELS;
+        for corners in [
+            [(77 - far, 179 - far), (far + 26, 230_502 - far), (33_510, far + 154)],
+            [(77 - far, 19_763), (far + 26, 19_482), (far - 102, 48_717)],
+            [(far + 51, far + 102), (230 - far, 51 - far), (15_437 - far, far - 205)],
+        ] {
+            let vertex = |i: usize, z: f64| ScreenVertex { x: corners[i].0, y: corners[i].1, z };
+            let plane = Plane::new(&[vertex(0, 1.1), vertex(1, 3.7), vertex(2, 8.9)], true);
+            let mut seen = 0;
+            for y in 0..256 {
+                // inside, the edge functions have the area's sign
+                let inside = |x: &i32| {
+                    let Hit { depth, weights } = plane.at(*x, y);
+                    depth.is_finite() && weights.iter().all(|w| *w > 0.0)
+                };
+                let pixels: Vec<i32> = (0..256).filter(inside).collect();
+                let Some(&x) = pixels.first() else { continue };
+                let run = Run { x, y, first: 0, len: u32::try_from(pixels.len()).unwrap() };
+                let mut depth = vec![0.0; pixels.len() + LANES];
+                plane.depths_of_many(&[run], &mut depth);
+                let alone: Vec<f32> = pixels.iter().map(|&x| plane.at(x, y).depth).collect();
+                assert_eq!(depth[..pixels.len()], alone, "{y}");
+                seen += pixels.len();
+            }
+            assert!(seen > 1000, "{seen}");
+        }
+    }
+
+    #[test]
     fn constant_depth_is_exact() {
         let projector = projector(Projection::Perspective { fov_y: 90.0 });
         let view = corners(&projector, [(1.3, 2.7), (251.1, 3.9), (17.7, 255.3)], [3.3; 3]);
