@@ -1,5 +1,5 @@
 //! What is done with the sums of many pixels at a time: plain loops over the pixels of a run, which a compiler makes
-//! vectors of, wherever the run begins and ends.
+//! vectors of, wherever the run begins and ends, or over groups of pixels that are a vector each.
 
 use crate::raster::{LANES, Premultiplied, Run, Where};
 use multiversion::multiversion;
