@@ -170,7 +170,9 @@ fn draw_tiles(
     @builtin(local_invocation_index) thread: u32,
 ) {
     if thread == 0u {
-        tile_at_hand = tiles[tile_of(group.xy)];
+        // rows at hand may begin within the bins at hand
+        let first_row = frame.first_row / TILE - tiling.first_bin_row * tiling.bin_side;
+        tile_at_hand = tiles[tile_of(group.xy + vec2u(0u, first_row))];
     }
     let entries = workgroupUniformLoad(&tile_at_hand);
     let first_pixel = vec2u(group.x * TILE, frame.first_row + group.y * TILE);

@@ -3,7 +3,6 @@
 use super::blend::Targets;
 use super::canvas::{Canvas, landed_row};
 use super::device::Connection;
-use super::draws::flag;
 use super::form::tiled::RasterPath;
 use super::form::{Form, Path};
 use super::layouts::Layouts;
@@ -158,14 +157,7 @@ impl Gpu {
         let mut image = match &form.path {
             _ if raster == RasterPath::Compute => self.tiled(picture, form, stop),
             Path::Blended(blending) => self.blended(picture, form, blending, stop),
-            Path::Listed(listing) => self.listed(picture, form, (listing.resolve, listing.sorted), &[], stop),
-            Path::Streamed(stream) => {
-                let constants = [
-                    ("backwards", flag(stream.backwards)),
-                    ("shows_zero_fragments", flag(form.shows_zero_fragments)),
-                ];
-                self.listed(picture, form, ("resolve_stream", stream.sorted), &constants, stop)
-            }
+            Path::Listed(_) | Path::Streamed(_) => self.listed(picture, form, stop),
             Path::Sampled(sampling) => self.sampled(picture, form, sampling, stop),
             Path::Peeled(peeling) => self.peeled(picture, form, peeling, stop),
         }?;

@@ -9,7 +9,7 @@ mod streams;
 mod targets;
 pub mod tiled;
 
-pub use streams::{Capacity, Sampling, Sorting, Streaming, submission};
+pub use streams::{Capacity, ListReader, Sampling, Sorting, Streaming, submission};
 pub use targets::{Blend, BlendTarget, Blending, Draw, Registers, SHARES, SUMS, target_format};
 
 /// A technique's entry in the registry: makes its form under params, or refuses params that have none.
@@ -249,6 +249,7 @@ const WALKS: &str = include_str!("../../shaders/blocks/walks.wgsl");
 /// In place of a technique's own `again`.
 const ONE_WALK: &str = "fn again() -> bool { return false; }";
 const TILE_BINS: &str = include_str!("../../shaders/blocks/tile_bins.wgsl");
+const TILE_LISTS: &str = include_str!("../../shaders/blocks/tile_lists.wgsl");
 const TILE_STREAM: &str = include_str!("../../shaders/blocks/tile_stream.wgsl");
 const TILE_WINDOW: &str = include_str!("../../shaders/blocks/tile_window.wgsl");
 const TILES: &str = include_str!("../../shaders/blocks/tiles.wgsl");
@@ -319,6 +320,24 @@ impl Form {
     pub fn capacity(&self) -> Option<Capacity> {
         match &self.path {
             Path::Streamed(stream) => stream.capacity,
+            _ => None,
+        }
+    }
+
+    /// How it reads lists, if it is made of lists.
+    pub fn list_reader(&self) -> Option<ListReader> {
+        match &self.path {
+            Path::Listed(listing) => {
+                Some(ListReader { point: listing.resolve, sorted: listing.sorted, constants: Vec::new() })
+            }
+            Path::Streamed(stream) => {
+                let flag = |is_set: bool| f64::from(u8::from(is_set));
+                let constants = vec![
+                    ("backwards", flag(stream.backwards)),
+                    ("shows_zero_fragments", flag(self.shows_zero_fragments)),
+                ];
+                Some(ListReader { point: "resolve_stream", sorted: stream.sorted, constants })
+            }
             _ => None,
         }
     }

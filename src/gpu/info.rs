@@ -3,7 +3,7 @@
 use super::device::Connection;
 use super::form::{Form, Path};
 use super::shared::with_gpu;
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::params::{View, check};
 use crate::technique;
 use crate::techniques::REGISTRY;
@@ -67,7 +67,31 @@ fn describe(connection: &Connection) -> Info {
     Info { texts, features, limits, techniques: Vec::new(), refused: Vec::new() }
 }
 
+/// Storage buffers of a shader that draws into lists, one that draws tiles, and one that fills lists of tiles.
+const OF_LISTS: u32 = 11;
+const OF_TILES: u32 = 11;
+const OF_LISTS_OF_TILES: u32 = 17;
+
 impl Connection {
+    fn has_storage_buffers(&self, needed: u32) -> Result<()> {
+        let most = self.limits.max_storage_buffers_per_shader_stage;
+        if needed <= most {
+            return Ok(());
+        }
+        let device = &self.info.name;
+        let problem =
+            format!("shaders of this technique see {needed} storage buffers; those of {device}, {most}");
+        Err(Error::argument("backend", problem))
+    }
+
+    /// Refuses a form whose tiles see more buffers than the device's shaders do.
+    ///
+    /// # Errors
+    /// [`crate::Error::Argument`] that says how many they are.
+    pub fn fits_in_tiles(&self, form: &Form) -> Result<()> {
+        self.has_storage_buffers(if form.is_listed_in_tiles() { OF_LISTS_OF_TILES } else { OF_TILES })
+    }
+
     /// Refuses a form that the device has no targets for.
     ///
     /// # Errors
@@ -75,7 +99,7 @@ impl Connection {
     pub fn fits(&self, form: &Form) -> Result<()> {
         match &form.path {
             Path::Blended(blending) => self.target_formats(blending).map(drop),
-            Path::Listed(_) | Path::Streamed(_) => Ok(()),
+            Path::Listed(_) | Path::Streamed(_) => self.has_storage_buffers(OF_LISTS),
             Path::Sampled(sampling) => {
                 sampling.sums.iter().try_for_each(|sum| self.target_format(sum).map(drop))
             }

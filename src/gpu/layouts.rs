@@ -286,17 +286,18 @@ impl Layouts {
         constants: &[(&str, f64)],
     ) -> Arc<ComputePipeline> {
         let third = self.second(device, reads);
-        self.compute_with(device, shader, false, third.as_ref(), writes_image, constants)
+        let image = writes_image.then(|| self.output.clone());
+        self.compute_with(device, shader, false, third.as_ref(), image.as_ref(), constants)
     }
 
-    /// The same with another group 2, and with primitives.
+    /// The same with other groups 2 and 3, and with primitives.
     pub fn compute_with(
         &mut self,
         device: &Device,
         shader: Entry<'_>,
         reads_primitives: bool,
         third: Option<&BindGroupLayout>,
-        writes_image: bool,
+        fourth: Option<&BindGroupLayout>,
         constants: &[(&str, f64)],
     ) -> Arc<ComputePipeline> {
         let key = format!("{} {constants:?}\n{}", shader.point, shader.module);
@@ -306,10 +307,10 @@ impl Layouts {
         self.make_room();
         let module = self.module(device, shader.module);
         let primitives = reads_primitives.then_some(&self.geometry);
-        let groups = [Some(&self.frame), primitives, third, Some(&self.output)];
+        let groups = [Some(&self.frame), primitives, third, fourth];
         let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
             label: None,
-            bind_group_layouts: &groups[..3 + usize::from(writes_image)],
+            bind_group_layouts: &groups[..3 + usize::from(fourth.is_some())],
             immediate_size: 0,
         });
         let pipeline = device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {

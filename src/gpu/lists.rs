@@ -3,10 +3,11 @@
 use super::device::Connection;
 use super::draw::{Gpu, Image, Stop, attachment, dispatch, draw_primitives, group, resolve};
 use super::draws::flag;
-use super::form::{Capacity, Form, Sorting, list_module};
+use super::form::{Capacity, Form, ListReader, Sorting, list_module};
 use super::layouts::{Entry, Layouts, Reads, plain};
 use super::picture::{Given, Picture, RANK, buffer, bytes_of, texture};
 use super::recorder::{Recorder, Stage, read};
+use super::tiles::TiledRows;
 use crate::error::{Error, Result};
 use std::ops::Range;
 use std::sync::Arc;
@@ -23,7 +24,7 @@ const KEY: u64 = 8;
 const COUNT: u64 = 4;
 
 /// The buffers of lists, by their bindings.
-struct ListBuffers {
+pub(super) struct ListBuffers {
     group: BindGroup,
     counts: Buffer,
     places: Buffer,
@@ -34,7 +35,7 @@ struct ListBuffers {
 }
 
 /// Lists of some rows on their way through the device.
-struct Band<'a> {
+pub(super) struct Band<'a> {
     connection: &'a Connection,
     layouts: &'a mut Layouts,
     recorder: Recorder<'a>,
@@ -42,6 +43,25 @@ struct Band<'a> {
     frame: &'a BindGroup,
     lists: &'a ListBuffers,
     rows: &'a Range<u32>,
+}
+
+/// What becomes of fragments, with the entry point of the device's own raster.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Filling {
+    Counts,
+    Lists,
+    /// With the places of ranks for ids.
+    RankedLists,
+}
+
+impl Filling {
+    fn point(self) -> &'static str {
+        match self {
+            Self::Counts => "count_fragment",
+            Self::Lists => "store_fragment",
+            Self::RankedLists => "store_ranked_fragment",
+        }
+    }
 }
 
 impl Gpu {
@@ -57,14 +77,14 @@ impl Gpu {
             let rows = first..(first + most).min(picture.height);
             let frame = self.frame(picture, &rows, &[]);
             let mut band = self.band(picture, &frame, &lists, &rows, stop);
-            band.count()?;
+            band.count(None)?;
             sums = band.recorder.finish(&lists.row_sums, 8 * u64::from(picture.height))?.0;
         }
         picture.rows = sums;
         Ok(())
     }
 
-    fn band<'a>(
+    pub(super) fn band<'a>(
         &'a mut self,
         picture: &'a Picture,
         frame: &'a BindGroup,
@@ -94,16 +114,11 @@ impl Gpu {
     }
 
     /// Lists of all fragments, in as many parts of the image as their number asks for.
-    pub(super) fn listed(
-        &mut self,
-        picture: &Picture,
-        form: &Form,
-        (point, sorted): (&str, Sorting),
-        constants: &[(&str, f64)],
-        stop: Stop<'_>,
-    ) -> Result<Image> {
-        let bands = self.bands_of_fragments(picture, self.rows_per_band(picture, form))?;
-        let by_rank = form.capacity().map(|capacity| capacity.sorted).into_iter().chain([sorted]);
+    pub(super) fn listed(&mut self, picture: &Picture, form: &Form, stop: Stop<'_>) -> Result<Image> {
+        let Some(reader) = form.list_reader() else { unreachable!("it is made of lists") };
+        let all_rows = 0..picture.height;
+        let bands = self.bands_of_fragments(picture, &all_rows, 1, self.rows_per_band(picture, form))?;
+        let by_rank = form.capacity().map(|capacity| capacity.sorted).into_iter().chain([reader.sorted]);
         let is_ranked = picture.given.is_none() && by_rank.into_iter().any(|sorted| sorted == Sorting::Rank);
         let ranks = if is_ranked { Some(picture.ranks(&self.connection)?) } else { None };
         let lists = self.lists_for(picture, &bands, ranks);
@@ -117,21 +132,13 @@ impl Gpu {
                 lists.fill(band.connection, given, picture, rows); // in the order that is asked for
             } else {
                 band.draw(is_ranked)?;
-                if let Some(capacity) = form.capacity() {
-                    band.sort(capacity.sorted)?;
-                    band.drop_fragments(capacity)?;
-                }
-                band.sort(sorted)?;
+                band.keep_first(form.capacity())?;
+                band.sort(reader.sorted)?;
                 if is_ranked {
                     band.step(Stage::Resolve, "restore_ids", &[])?;
                 }
             }
-            let Band { connection, layouts, recorder, .. } = band;
-            let entry = Entry { module: &module, point };
-            let constants: Vec<_> = picture.knowledge().iter().chain(constants).copied().collect();
-            let pipeline = layouts.compute(&connection.device, entry, Reads::Lists, true, &constants);
-            let groups = [&frame, &lists.group];
-            resolve(connection, layouts, recorder, picture, form, rows, &pipeline, groups, &mut image)?;
+            band.resolve(form, &module, &reader, &mut image)?;
         }
         Ok(image)
     }
@@ -141,7 +148,8 @@ impl Gpu {
     /// # Errors
     /// As [`Gpu::image`].
     pub fn capture(&mut self, picture: &Picture, stop: Stop<'_>) -> Result<Given> {
-        let bands = self.bands_of_fragments(picture, self.rows_of_counts(picture))?;
+        let bands =
+            self.bands_of_fragments(picture, &(0..picture.height), 1, self.rows_of_counts(picture))?;
         let lists = self.lists_for(picture, &bands, None);
         let mut captured = Given::default();
         for rows in &bands {
@@ -168,7 +176,12 @@ impl Gpu {
     }
 
     /// Room for the fullest band and the tallest one, and where each row's fragments go.
-    fn lists_for(&self, picture: &Picture, bands: &[Range<u32>], ranks: Option<&Buffer>) -> ListBuffers {
+    pub(super) fn lists_for(
+        &self,
+        picture: &Picture,
+        bands: &[Range<u32>],
+        ranks: Option<&Buffer>,
+    ) -> ListBuffers {
         let most = bands.iter().map(|band| fragments_of(picture, band)).max().unwrap_or(0);
         let rows = bands.iter().map(|band| band.end - band.start).max().unwrap_or(0);
         let lists = self.lists(picture, rows, most, ranks);
@@ -182,37 +195,47 @@ impl Gpu {
         u32::try_from(self.most_bytes() / row).unwrap_or(u32::MAX).max(1)
     }
 
-    /// At most so many rows at a time, whose fragments have to fit, too.
-    fn bands_of_fragments(&self, picture: &Picture, rows: u32) -> Result<Vec<Range<u32>>> {
+    /// At most so many rows of a part of the image at a time, by whole `unit`s from its first one on; their fragments have to fit,
+    /// too.
+    pub(super) fn bands_of_fragments(
+        &self,
+        picture: &Picture,
+        part: &Range<u32>,
+        unit: u32,
+        most_rows: u32,
+    ) -> Result<Vec<Range<u32>>> {
         let most = self.most_bytes() / COLOR;
-        let (mut bands, mut band, mut sum) = (Vec::new(), 0..0, 0);
-        for (row, [fragments, _]) in (0..).zip(&picture.rows) {
-            let fragments = u64::from(*fragments);
+        let (mut bands, mut band, mut sum) = (Vec::new(), part.start..part.start, 0);
+        for row in part.clone().step_by(unit as usize) {
+            let rows = row..(row + unit).min(part.end);
+            let fragments = fragments_of(picture, &rows);
             if fragments > most {
+                let these =
+                    if unit == 1 { format!("row {row}") } else { format!("rows {row} to {}", rows.end - 1) };
                 return Err(Error::Memory(format!(
-                    "the {fragments} fragments of row {row}; {} keeps {most} at a time: a smaller image has fewer in a row",
+                    "the {fragments} fragments of {these}; {} keeps {most} at a time: a smaller image has fewer in a row",
                     self.connection.info.name
                 )));
             }
-            if sum + fragments > most || row - band.start >= rows {
+            if band.end > band.start && (sum + fragments > most || rows.end - band.start > most_rows) {
                 bands.push(std::mem::replace(&mut band, row..row));
                 sum = 0;
             }
-            (band.end, sum) = (row + 1, sum + fragments);
+            (band.end, sum) = (rows.end, sum + fragments);
         }
         bands.push(band);
         Ok(bands)
     }
 }
 
-/// Where the first fragment of each row goes, band by band.
+/// Where the first fragment of each row of the bands goes.
 fn row_places(picture: &Picture, bands: &[Range<u32>]) -> Vec<u32> {
-    let mut places = Vec::with_capacity(picture.rows.len());
+    let mut places = vec![0; picture.rows.len()];
     for band in bands {
         let mut place = 0;
-        for row in &picture.rows[band.start as usize..band.end as usize] {
-            places.push(place);
-            place += row[0];
+        for row in band.start as usize..band.end as usize {
+            places[row] = place;
+            place += picture.rows[row][0];
         }
     }
     places
@@ -246,9 +269,9 @@ impl ListBuffers {
 
 impl Band<'_> {
     /// How many fragments each pixel and each row has, and where in its row each pixel's go.
-    fn count(&mut self) -> Result<()> {
+    fn count(&mut self, tiles: Option<&TiledRows<'_>>) -> Result<()> {
         self.recorder.clear(&self.lists.counts);
-        self.raster("count_fragment")?;
+        self.raster(tiles, Filling::Counts)?;
         let pipeline = self.kernel("sum_rows", &[]);
         let Self { recorder, frame, lists, rows, .. } = self;
         recorder.compute(Stage::Raster, |pass| {
@@ -262,12 +285,28 @@ impl Band<'_> {
     /// Stores the fragments, with the places of ranks for ids if lists are ranked. They are counted once more than their number
     /// is asked for, so that the time is that of a frame.
     fn draw(&mut self, is_ranked: bool) -> Result<()> {
-        self.count()?;
-        self.step(Stage::Raster, "shift_rows", &[])?;
-        self.raster(if is_ranked { "store_ranked_fragment" } else { "store_fragment" })
+        self.fill(None, if is_ranked { Filling::RankedLists } else { Filling::Lists })
     }
 
-    fn sort(&mut self, sorting: Sorting) -> Result<()> {
+    /// Stores the fragments of tiles, in the order in which they are drawn.
+    ///
+    /// # Errors
+    /// As [`Recorder::compute`].
+    pub(super) fn draw_tiles(&mut self, tiles: &TiledRows<'_>) -> Result<()> {
+        self.fill(Some(tiles), Filling::Lists)
+    }
+
+    fn fill(&mut self, tiles: Option<&TiledRows<'_>>, filling: Filling) -> Result<()> {
+        self.count(tiles)?;
+        self.step(Stage::Raster, "shift_rows", &[])?;
+        self.raster(tiles, filling)
+    }
+
+    /// Sorts every list.
+    ///
+    /// # Errors
+    /// As [`Recorder::compute`].
+    pub(super) fn sort(&mut self, sorting: Sorting) -> Result<()> {
         let sorting = match sorting {
             Sorting::Depth => 0.0,
             Sorting::Submission => 1.0,
@@ -276,8 +315,13 @@ impl Band<'_> {
         self.step(Stage::Resolve, "sort_lists", &[("sorting", sorting)])
     }
 
-    /// Leaves as many fragments of each list as there may be.
-    fn drop_fragments(&mut self, capacity: Capacity) -> Result<()> {
+    /// Leaves as many fragments of each list as there may be, the first ones.
+    ///
+    /// # Errors
+    /// As [`Recorder::compute`].
+    pub(super) fn keep_first(&mut self, capacity: Option<Capacity>) -> Result<()> {
+        let Some(capacity) = capacity else { return Ok(()) };
+        self.sort(capacity.sorted)?;
         let constants =
             [("list_capacity", capacity.fragments.into()), ("drops_backwards", flag(capacity.backwards))];
         self.step(Stage::Resolve, "drop_fragments", &constants)
@@ -295,8 +339,17 @@ impl Band<'_> {
         self.layouts.compute(&self.connection.device, entry, Reads::Lists, false, constants)
     }
 
-    /// Fragments into lists. A pass wants a target, which nothing is drawn into.
-    fn raster(&mut self, point: &str) -> Result<()> {
+    /// Fragments of tiles, or of the device's own raster.
+    fn raster(&mut self, tiles: Option<&TiledRows<'_>>, filling: Filling) -> Result<()> {
+        let Some(tiles) = tiles else { return self.hardware_raster(filling.point()) };
+        let Self { connection, layouts, recorder, picture, frame, lists, rows } = self;
+        let extent = (picture.width, rows.end - rows.start);
+        let stores = filling != Filling::Counts;
+        tiles.raster((connection, layouts), recorder, frame, &lists.group, (extent, stores))
+    }
+
+    /// A pass wants a target, which nothing is drawn into.
+    fn hardware_raster(&mut self, point: &str) -> Result<()> {
         let Self { connection, layouts, recorder, picture, frame, lists, rows } = self;
         let format = TextureFormat::R8Unorm;
         let size = (picture.width, rows.end - rows.start);
@@ -312,5 +365,23 @@ impl Band<'_> {
             pass.set_bind_group(2, &lists.group, &[]);
             draw_primitives(pass, picture, rows, 0);
         })
+    }
+    /// Makes the image of the lists.
+    ///
+    /// # Errors
+    /// As [`Gpu::image`].
+    pub(super) fn resolve(
+        self,
+        form: &Form,
+        module: &str,
+        reader: &ListReader,
+        image: &mut Image,
+    ) -> Result<()> {
+        let Self { connection, layouts, recorder, picture, frame, lists, rows } = self;
+        let constants: Vec<_> = picture.knowledge().iter().chain(&reader.constants).copied().collect();
+        let entry = Entry { module, point: reader.point };
+        let pipeline = layouts.compute(&connection.device, entry, Reads::Lists, true, &constants);
+        let groups = [frame, &lists.group];
+        resolve(connection, layouts, recorder, picture, form, rows, &pipeline, groups, image)
     }
 }

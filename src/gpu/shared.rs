@@ -164,13 +164,24 @@ impl Shared {
     ///
     /// # Errors
     /// As [`Shared::draw`], and [`Error::Memory`] where a few rows have more of them.
-    pub fn draw_in_bands(&mut self, drawn: &ToDraw<'_>, form: &Form, stop: Stop<'_>) -> Result<Image> {
+    pub fn draw_in_bands(
+        &mut self,
+        key: Key,
+        drawn: &ToDraw<'_>,
+        form: &Form,
+        stop: Stop<'_>,
+    ) -> Result<Image> {
+        let Some(counted) = self.kept.iter().find(|kept| kept.key == key) else {
+            unreachable!("it was loaded")
+        };
+        let counts = counted.picture.rows.clone();
         let mut image = Image::default();
         for rows in self.gpu.bands_of_primitives(drawn)? {
             if stop() {
                 return Err(Error::Cancelled);
             }
-            let picture = Picture::of_rows(&self.gpu.connection, &self.gpu.layouts, drawn, rows)?;
+            let mut picture = Picture::of_rows(&self.gpu.connection, &self.gpu.layouts, drawn, rows)?;
+            picture.rows.clone_from(&counts);
             let band = self.gpu.image(&picture, form, RasterPath::Compute, stop)?;
             image.append(finished(band, &self.gpu.connection)?);
         }

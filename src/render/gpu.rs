@@ -109,7 +109,7 @@ fn fit(shared: &Shared, source: Source<'_>, forms: &[Form], raster: RasterPath) 
         RasterPath::Hardware | RasterPath::Samples => {
             forms.iter().try_for_each(|form| shared.connection().fits(form))
         }
-        RasterPath::Compute => Ok(()), // keeps everything in registers
+        RasterPath::Compute => forms.iter().try_for_each(|form| shared.connection().fits_in_tiles(form)),
     }
 }
 
@@ -205,7 +205,9 @@ fn bound(asked: &Asked, source: Source<'_>, view: &params::View, raster: RasterP
                 "a capacity has no form on the backend \"gpu\" for fragments that are there already";
             return Err(variant.params.error(problem, "there capacity is 0, or it is a scene that is drawn"));
         }
-        Some(capacity) if raster == RasterPath::Hardware => of_lists(capacity.sorted),
+        Some(capacity) if raster == RasterPath::Hardware || form.is_listed_in_tiles() => {
+            of_lists(capacity.sorted)
+        }
         // the first ones are those that are drawn first
         Some(_) => variant.order,
     };
@@ -346,7 +348,9 @@ impl<'a> Job<'a> {
         }
         let Some(totals) = self.shared.totals(key) else { unreachable!("it was loaded") };
         let image = if raster == RasterPath::Compute && totals.batches > 1 {
-            self.drawn(bound.order, |shared, drawn, stop| shared.draw_in_bands(drawn, &bound.form, stop))?
+            self.drawn(bound.order, |shared, drawn, stop| {
+                shared.draw_in_bands(key, drawn, &bound.form, stop)
+            })?
         } else {
             self.shared.draw(key, &bound.form, raster, self.stop)?
         };

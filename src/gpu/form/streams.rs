@@ -99,6 +99,17 @@ pub enum Sorting {
     Rank,
 }
 
+/// How a compute shader reads lists.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ListReader {
+    /// Its entry point.
+    pub point: &'static str,
+    /// How lists are sorted for it.
+    pub sorted: Sorting,
+    /// Constants of its pipeline.
+    pub constants: Vec<(&'static str, f64)>,
+}
+
 /// So many fragments of a pixel are kept, the first ones in this order; others are dropped, and counted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Capacity {

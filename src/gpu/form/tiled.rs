@@ -2,8 +2,8 @@
 
 use super::{
     BACKGROUND, Blend, BlendTarget, Blending, DOUBLE, FRAGMENT, FRAME, Form, LISTS, ONE_WALK, Path, RESOLVE,
-    Registers, SHARES_OF_LAYERS, Sorting, TILE_BINS, TILE_STREAM, TILE_WINDOW, TILES, WALKS, WEIGHT_BOUNDS,
-    constants,
+    Registers, SHARES_OF_LAYERS, Sorting, TILE_BINS, TILE_LISTS, TILE_STREAM, TILE_WINDOW, TILES, WALKS,
+    WEIGHT_BOUNDS, constants,
 };
 use crate::error::{Error, Result};
 use crate::format::Format;
@@ -73,17 +73,26 @@ impl Form {
         }
     }
 
-    /// The shader whose `draw_tiles` is the technique's.
+    /// Whether tiles fill lists for it: it looks at all fragments of a pixel at once, or keeps some by depth.
+    pub fn is_listed_in_tiles(&self) -> bool {
+        let drops_by_depth = self.capacity().is_some_and(|capacity| capacity.sorted == Sorting::Depth);
+        matches!(self.path, Path::Listed(_)) || drops_by_depth
+    }
+
+    /// The shader whose `draw_tiles` is the technique's or, if that looks at lists, fills them.
     ///
     /// # Errors
-    /// [`Error::Argument`] for what is no stream of fragments, and for targets that registers do not stand for.
+    /// [`Error::Argument`] for samples, and for targets that registers do not stand for.
     pub fn tiled_module(&self) -> Result<String> {
+        if self.is_listed_in_tiles() {
+            return Ok(lists_module());
+        }
         let (sized, state);
         let mut parts = vec![FRAME, DOUBLE, FRAGMENT, WEIGHT_BOUNDS];
         parts.extend(self.weight_parts());
         parts.extend([SHARES_OF_LAYERS, RESOLVE]);
         match &self.path {
-            Path::Listed(_) => return refused("what looks at all fragments of a pixel at once"),
+            Path::Listed(_) => unreachable!("tiles fill lists for it"),
             // what tiles do to sort is peeling
             Path::Peeled(peeling) => {
                 only_single(&peeling.sums)?;
@@ -131,6 +140,12 @@ impl Form {
 /// The module that sorts primitives into tiles: no technique's own.
 pub fn bins_module() -> String {
     [FRAME, DOUBLE, FRAGMENT, TILE_BINS].join("\n")
+}
+
+/// The module of tiles that fill lists: no technique's own.
+fn lists_module() -> String {
+    let stream = [WALKS, ONE_WALK, TILE_LISTS, TILE_STREAM];
+    [&[FRAME, DOUBLE, FRAGMENT, RESOLVE], &stream[..], &[TILE_BINS, TILES]].concat().join("\n")
 }
 
 /// The storage format of a target that stands for a texture.
