@@ -1,7 +1,6 @@
 """Orders of submission on the GPU, and lists with room for so many fragments, on both rasters."""
 
 import os
-import re
 import subprocess
 import sys
 from typing import Any

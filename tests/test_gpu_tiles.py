@@ -25,6 +25,7 @@ from gpu_scenes import (
     tolerance,
 )
 from test_gpu import with_environment
+from test_promises import bounds, off, values_of
 
 pytestmark = pytest.mark.skipif(DEVICE is None, reason=WHY_NOT)
 
@@ -105,6 +106,23 @@ def test_params_in_tiles_are_those_of_the_cpu(technique: str, params: dict[str, 
         # nodes as good as each other may change roles where depths are a unit in the last place apart
         share = 1.0 if name == "squares" else 0.999
         assert (np.abs(got.color - expected.color).max(axis=-1) <= limit).mean() >= share
+
+
+@pytest.mark.parametrize("technique", TILED)
+def test_under_every_param_tiles_do_what_the_other_raster_does(technique: str) -> None:
+    scene = oitlab.scenes.squares(width=24, height=16)
+    for param in oitlab.techniques()[technique].params:
+        for value in values_of(param):
+            params = {param.name: value}
+            try:
+                expected = oitlab.gpu.render(scene, technique, params)
+            except (ValueError, MemoryError):
+                continue
+            got = oitlab.gpu.render(scene, technique, params, path="compute")
+            distance = off(got, expected.color, expected.transmittance)
+            most, worst, share = bounds(technique, params)
+            assert distance.max() <= worst, (params, distance.max())
+            assert (distance <= most).mean() >= share, params
 
 
 LISTS: list[tuple[str, dict[str, Any]]] = [
@@ -285,14 +303,12 @@ def test_calls_repeat_to_the_bit_and_say_how_long_they_took() -> None:
         ("wboit", {"format": "f16"}, 'accumulation_format="f16", which registers are not in, has no form'),
         (
             "opacity_shadow_maps",
-            {"bins": 512},
-            "what keeps 513 numbers of a pixel, more than 512, has no form",
+            {"bins": 1024},
+            "what keeps 1025 numbers of a pixel, more than 1024, has no form",
         ),
     ],
 )
-def test_what_registers_are_not_is_refused(
-    technique: str, params: dict[str, Any], message: str
-) -> None:
+def test_what_registers_are_not_is_refused(technique: str, params: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=re.escape(message)):
         oitlab.gpu.render(SCENES["blades"], technique, params, path="compute")
 

@@ -118,10 +118,10 @@ def render(
     path : {"hardware", "compute", "samples"}
         "hardware" is what `oitlab.render(..., backend="gpu")` draws with: blend units, depth buffers, lists.
         "compute" sorts the primitives into tiles of 8 x 8 pixels and walks them in submission order, with
-        what the technique keeps of a pixel in registers: no lists, no render targets while drawing. It is for
-        all techniques, with targets in f32, but those that look at all fragments of a pixel at once
-        (`density_clustering`, `deep_shadow_maps` ...). "samples" is for `stochastic_transparency`, whose
-        masks are then sample masks of the device's.
+        what the technique keeps of a pixel in registers: no lists, no render targets while drawing. For
+        techniques that look at all fragments of a pixel at once (`density_clustering`, `deep_shadow_maps`
+        ...) tiles fill lists. It is for all techniques, with targets in f32. "samples" is for
+        `stochastic_transparency`, whose masks are then sample masks of the device's.
     threads, skip
         As in `oitlab.render`.
 
@@ -135,10 +135,10 @@ def render(
     RuntimeError
         No device.
     ValueError
-        A technique, or params, that the path has no form for; more primitives than a buffer of the device
-        holds, on "compute".
+        Params that the path has no form for; "samples" for another technique.
     MemoryError
-        Not enough memory on the device.
+        Not enough memory on the device. On "compute": a few rows of the image (64 to 128, or 8 where there
+        are lists) that have more primitives, or fragments, than a buffer holds.
 
     Examples
     --------

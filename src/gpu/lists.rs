@@ -232,10 +232,11 @@ impl Gpu {
 fn row_places(picture: &Picture, bands: &[Range<u32>]) -> Vec<u32> {
     let mut places = vec![0; picture.rows.len()];
     for band in bands {
-        let mut place = 0;
-        for row in band.start as usize..band.end as usize {
-            places[row] = place;
-            place += picture.rows[row][0];
+        let mut next = 0;
+        let rows = band.start as usize..band.end as usize;
+        for (place, row) in places[rows.clone()].iter_mut().zip(&picture.rows[rows]) {
+            *place = next;
+            next += row[0];
         }
     }
     places

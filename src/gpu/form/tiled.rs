@@ -9,8 +9,8 @@ use crate::error::{Error, Result};
 use crate::format::Format;
 use std::fmt::Write;
 
-/// Words of a pixel's map that are in registers, at most: they take two kilobytes.
-const MOST_WORDS: u32 = 512;
+/// Words of a pixel's map that are in registers, at most: they take four kilobytes.
+const MOST_WORDS: u32 = 1024;
 
 /// Which raster draws the primitives.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
