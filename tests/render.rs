@@ -10,7 +10,9 @@
 
 mod common;
 
-use common::{capture_with, frame, frames_with, perspective, rectangle, request, samples, scene, soup};
+use common::{
+    capture_with, frame, frames_with, mesh, perspective, random, rectangle, request, samples, scene, soup,
+};
 use oitlab::error::Error;
 use oitlab::fragments::{Background, Fragments, FragmentsInput, Lists};
 use oitlab::frame::{Frame, Image};
@@ -143,6 +145,45 @@ fn skips_change_nothing_and_are_counted() {
                 assert!(count(&quick) >= least, "{what}");
                 assert_eq!(count(&full), 0, "{what}");
             }
+        }
+    }
+}
+
+/// Most rows of these tiles have no fragments, and sums of other tiles are left in them.
+#[test]
+fn rows_that_nothing_is_in_are_background_for_every_technique() {
+    let dense = rectangle([-9.0, -1.5], [-9.0, 9.0], 0.5, COLORS[0], Material::default());
+    let opaque = Material { alpha_mode: AlphaMode::Opaque, ..Material::default() };
+    let wall = rectangle([0.5, 1.5], [-2.0, 2.0], -0.5, [0.25, 0.5, 0.75, 1.0], opaque);
+    let spot = |n: u32| {
+        let (x, y, size) =
+            (4.0 * random(n, 0) - 1.5, 4.0 * random(n, 1) - 2.0, 0.02 + 0.2 * random(n, 2).powi(4));
+        let corners =
+            vec![[x, y, 0.3], [x + size, y, -0.2 * random(n, 3)], [x, y + size, 0.4 * random(n, 4)]];
+        mesh(corners, vec![[0, 1, 2]], COLORS[n as usize % 4], Material::default())
+    };
+    let mut spots: Vec<_> = (0..40).map(spot).collect();
+    spots.push(dense);
+    let alone = scene(spots.clone(), perspective(50.0, 0.5, 12.0), 150, 131);
+    spots.push(wall);
+    let before_a_wall = scene(spots, perspective(50.0, 0.5, 12.0), 150, 131);
+    for (scene, tile_size) in [(&alone, 64), (&alone, 100), (&before_a_wall, 64), (&alone, 30)] {
+        let options = Options { tile_size, threads: Some(1), ..Options::default() };
+        let plain = Options { skip: false, ..options };
+        let full = frames_with(Source::Scene(scene), &all_techniques(), &plain);
+        let quick = frames_with(Source::Scene(scene), &all_techniques(), &options);
+        for (request, (together, full)) in all_techniques().into_iter().zip(quick.iter().zip(&full)) {
+            let alone = frames_with(Source::Scene(scene), &[request], &options).remove(0);
+            assert!(alone.color == together.color, "{}", full.technique);
+            assert!(alone.transmittance == together.transmittance, "{}", full.technique);
+            let pairs = samples(&alone.color).iter().zip(samples(&full.color));
+            let worst = pairs.map(|(x, y)| ulps(*x, *y)).max();
+            assert!(worst <= Some(SHORTCUT_ULPS), "{}: {worst:?}, tiles of {tile_size}", full.technique);
+            assert_eq!(alone.stats.fragments, full.stats.fragments, "{}", full.technique);
+            let empty =
+                |frame: &Frame| frame.stats.skipped.iter().find(|(n, _)| *n == "empty_pixels").unwrap().1;
+            assert_eq!(empty(&alone), empty(together), "{}", full.technique);
+            assert!(empty(&alone) > 10_000, "{} {}", full.technique, empty(&alone));
         }
     }
 }

@@ -4,6 +4,7 @@ use super::cover::Rect;
 use super::interpolate::LANES;
 use super::project::{CENTER, SUBPIXELS};
 use super::runs::{Run, ends_of_rows};
+use std::ops::Range;
 
 /// Pixels of one primitive up to which they are listed one by one; runs pay off from here on.
 pub const FEW: usize = 64;
@@ -28,6 +29,20 @@ pub enum Where<'a> {
 }
 
 impl Where<'_> {
+    /// Rows of the tile that it lies in, which there has to be; it need not be in all of them.
+    #[inline(always)]
+    #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+    #[expect(clippy::cast_sign_loss, reason = "rows of the tile")]
+    pub fn rows(&self, tile: &Rect) -> Range<usize> {
+        match self {
+            Self::Few(pixels) => pixels.rows.clone(),
+            Self::Many(runs) => {
+                let (first, last) = (runs[0].y, runs[runs.len() - 1].y);
+                (first - tile.y0) as usize..(last + 1 - tile.y0) as usize
+            }
+        }
+    }
+
     /// Calls `visit(n, i)` for every pixel: the n-th of them, whose index in the tile is i.
     #[inline(always)]
     #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
@@ -67,11 +82,13 @@ pub struct Pixels {
     /// Indices in the tile.
     places: [u32; ROOM],
     count: usize,
+    /// Rows of the tile that none lies outside of.
+    rows: Range<usize>,
 }
 
 impl Default for Pixels {
     fn default() -> Self {
-        Self { rect: Rect::default(), at: [0; ROOM], places: [0; ROOM], count: 0 }
+        Self { rect: Rect::default(), at: [0; ROOM], places: [0; ROOM], count: 0, rows: 0..0 }
     }
 }
 
@@ -126,6 +143,9 @@ impl Pixels {
     #[inline(always)]
     #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
     pub fn list(&mut self, runs: &[Run]) {
+        if let (Some(first), Some(last)) = (runs.first(), runs.last()) {
+            self.set_rows(first.y, last.y + 1);
+        }
         let mut next = 0;
         for run in runs {
             let end = next + run.len as usize;
@@ -144,6 +164,7 @@ impl Pixels {
     #[inline(always)]
     #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
     pub fn list_triangle(&mut self, points: [(i32, i32); 3], sign: i32, bounds: &Rect) -> bool {
+        self.set_rows(bounds.y0, bounds.y1);
         let (columns, rows) = (bounds.x1 - bounds.x0, bounds.y1 - bounds.y0);
         let reach = |limit: i32| {
             let near = |at: i32, first: i32| (at - first * SUBPIXELS).abs() < 2 * limit * SUBPIXELS;
@@ -159,6 +180,13 @@ impl Pixels {
             return false;
         }
         true
+    }
+
+    #[inline(always)]
+    #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+    #[expect(clippy::cast_sign_loss, reason = "rows of the tile")]
+    fn set_rows(&mut self, y0: i32, y1: i32) {
+        self.rows = (y0 - self.rect.y0) as usize..(y1 - self.rect.y0) as usize;
     }
 
     /// By the edge functions of 8 x 8 pixels from the bounds' corner on, column by column.

@@ -231,6 +231,14 @@ impl<S: Sample> Patch<'_, S> {
         }
     }
 
+    /// Fills some pixels of the part `rect` of variant `v` with the background.
+    pub fn clear_part(&mut self, v: usize, rect: &Rect, pixels: Range<usize>, background: [f32; 3]) {
+        let [r, g, b] = background.map(|channel| S::from_f64(channel.into()));
+        self.rows(v, rect, pixels.start, pixels.len(), |colors, shares, _, _| {
+            clear_row([r, g, b, S::from_f64(1.0)], colors.as_flattened_mut(), shares);
+        });
+    }
+
     /// Fills everything with the background.
     pub fn clear(&mut self, background: [f32; 3]) {
         let [r, g, b] = background.map(|channel| S::from_f64(channel.into()));

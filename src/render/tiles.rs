@@ -1,21 +1,21 @@
 //! From tiles to pixels: each tile's transparent fragments go into running states, into lists or both, and from
 //! there through the techniques.
 
+use super::Job;
+mod lists;
+
 use super::image::Patch;
 use super::tally::Tally;
-use super::{Job, part_end};
 use crate::error::Result;
 use crate::fragments::Lists;
 use crate::frame::Sample;
 use crate::raster::{Cover, Order, Raster, Rect, Sink, Tile, TileLists};
 use crate::resolve::{Resolver, nanos_since};
 use crate::stream::{TileBlend, TileOver, TileSums, over_lists};
-use crate::technique::{Batch, FinishedPixels, Resolved, Streamed};
+use crate::technique::{FinishedPixels, Resolved, Streamed};
 use std::ops::Range;
 use std::time::Instant;
 
-/// Fragments that are shaded, sorted and resolved at a time: few enough to stay in the cache.
-const BATCH_FRAGMENTS: usize = 4096;
 /// Pixels that are finished at a time.
 const BATCH_PIXELS: usize = 256;
 
@@ -248,18 +248,33 @@ impl Job<'_> {
                 tally.variants[v].nanos += laps.lap();
             }
         } else {
-            let whole_rows = (BATCH_PIXELS / rect.width()).max(1) * rect.width();
-            for first in (0..rect.area()).step_by(whole_rows) {
-                let batch = first..(first + whole_rows).min(rect.area());
-                sums.reach(batch.clone());
-                if !counted {
-                    tally.count(sums.counts(batch.clone()));
+            let columns = rect.width();
+            let whole_rows = (BATCH_PIXELS / columns).max(1) * columns;
+            let may_skip = self.options.skip && background.is_one_color();
+            for (rows, any) in sums.stretches() {
+                let places = rows.start * columns..rows.end * columns;
+                if may_skip && !any {
+                    if !counted {
+                        tally.empty_pixels += places.len() as u64;
+                    }
+                    for &v in &plan.sums {
+                        patch.clear_part(v, rect, places.clone(), background.colors()[0]);
+                        tally.variants[v].nanos += laps.lap();
+                    }
+                    continue;
                 }
-                let share = laps.lap() / plan.sums.len() as u64;
-                for (i, &v) in plan.sums.iter().enumerate() {
-                    sums.finish(i, batch.clone(), background, pixels);
-                    patch.store_finished(v, rect, first, pixels);
-                    tally.variants[v].nanos += share + laps.lap();
+                for first in places.clone().step_by(whole_rows) {
+                    let batch = first..(first + whole_rows).min(places.end);
+                    sums.reach(batch.clone());
+                    if !counted {
+                        tally.count(sums.counts(batch.clone()));
+                    }
+                    let share = laps.lap() / plan.sums.len() as u64;
+                    for (i, &v) in plan.sums.iter().enumerate() {
+                        sums.finish(i, batch.clone(), background, pixels);
+                        patch.store_finished(v, rect, first, pixels);
+                        tally.variants[v].nanos += share + laps.lap();
+                    }
                 }
             }
         }
@@ -316,71 +331,6 @@ impl Job<'_> {
             tally.variants[v].hidden_fragments += std::mem::take(&mut hidden);
         }
     }
-
-    /// Resolves the tile's lists in batches that fit the cache, and all at once where a variant wants that.
-    fn resolve_lists<S: Sample>(
-        &self,
-        rect: &Rect,
-        worker: &mut Worker<'_, '_>,
-        patch: &mut Patch<'_, S>,
-        tally: &mut Tally,
-    ) -> Result<()> {
-        if self.plan.listed.is_empty() {
-            return Ok(());
-        }
-        let Worker { tile, lists, arrived, sorted, whole, resolver, resolved, .. } = worker;
-        let colors = tile.background().colors();
-        let listed = || self.from_lists.iter().chain(&self.from_tiles).map(|&v| &self.variants[v]);
-        let wants_arrival = listed().any(|variant| !variant.takes_sorted_alone());
-        let wants_sorted = listed().any(|variant| variant.wants_sorted() || variant.takes_sorted_alone());
-        let mut resolve = |variants: &[usize], [arrived, sorted]: [&Lists; 2], first, last, sort_nanos| {
-            #[expect(
-                clippy::cast_sign_loss,
-                clippy::cast_possible_truncation,
-                reason = "pixels of the image"
-            )]
-            let batch = Batch {
-                x: rect.x0 as u32,
-                y: rect.y0 as u32,
-                width: rect.width() as u32,
-                first: first as u32,
-                lists: if wants_arrival { arrived.as_ref() } else { sorted.as_ref() },
-                sorted: wants_sorted.then(|| sorted.as_ref()),
-                background: &colors[first..last],
-            };
-            resolver.run(&self.context(variants), &batch, sort_nanos, resolved, &mut tally.variants)?;
-            for &v in variants {
-                patch.store(v, rect, first, &resolved[v]);
-            }
-            Ok(())
-        };
-        whole.iter_mut().for_each(Lists::clear);
-        let (mut first, mut all_sort_nanos) = (0, 0);
-        while first < rect.area() {
-            let last = batch_end(first, lists.counts());
-            if wants_arrival {
-                lists.shade(first, last, arrived);
-            }
-            let start = Instant::now();
-            if wants_sorted {
-                lists.sort(first, last);
-                lists.shade(first, last, sorted);
-            }
-            let sort_nanos = nanos_since(start);
-            if !self.from_lists.is_empty() {
-                resolve(&self.from_lists, [arrived, sorted], first, last, sort_nanos)?;
-            }
-            if !self.from_tiles.is_empty() {
-                all_sort_nanos += sort_nanos;
-                whole.iter_mut().zip([&*arrived, &*sorted]).for_each(|(all, part)| all.append(part));
-            }
-            first = last;
-        }
-        if !self.from_tiles.is_empty() {
-            resolve(&self.from_tiles, [&whole[0], &whole[1]], 0, rect.area(), all_sort_nanos)?;
-        }
-        Ok(())
-    }
 }
 
 impl Collector<'_, '_, '_> {
@@ -395,14 +345,6 @@ impl Collector<'_, '_, '_> {
             blend.begin(rect);
         }
     }
-}
-
-/// The end of a batch of whole groups of lists from pixel `first` on.
-fn batch_end(first: usize, counts: &[u32]) -> usize {
-    let groups = counts[first..].chunks(TileLists::GROUP).map(|group| group.iter().sum::<u32>() as usize);
-    let groups: Vec<_> = groups.take(BATCH_FRAGMENTS / TileLists::GROUP).collect();
-    let end = part_end(0, groups.len(), BATCH_FRAGMENTS, |group| groups[group]);
-    (first + end * TileLists::GROUP).min(counts.len())
 }
 
 /// Makes and stores the pixels of variant `v`, a batch at a time.

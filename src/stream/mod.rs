@@ -3,6 +3,7 @@
 mod layers;
 mod over_lists;
 mod sums;
+mod touched;
 
 pub use layers::{TileBlend, TileOver};
 pub use over_lists::over_lists;

@@ -13,6 +13,7 @@ mod pending;
 mod rows;
 mod weigh;
 
+use super::touched::Touched;
 use super::{Stopwatch, flat_color, shade};
 use crate::continuum::sums::{Behind, Blended, FAINT, SumsOf};
 use crate::raster::{Cover, LANES, Opaque, Premultiplied, Rect, Sink, Where};
@@ -62,7 +63,7 @@ enum Kept {
     /// Nothing yet.
     #[default]
     Nothing,
-    /// Every pixel.
+    /// The pixels of every row that anything is in.
     Pixels,
     /// Every cell.
     Cells,
@@ -97,23 +98,41 @@ struct Sums {
     counts: Aligned<u32>,
     /// Whether anything was added to `coverage`.
     faint: bool,
+    /// The rows that anything is in, where sums are kept by pixels, ...
+    touched: Touched,
+    /// ... and those that have been cleared for it.
+    cleared: Touched,
 }
 
 impl Sums {
-    /// No fragments, in so many places.
-    fn clear(&mut self, places: usize) {
-        self.transmittance.reset(places, 1.0);
-        self.counts.reset(places, 0);
-        self.weighted.iter_mut().for_each(|sums| sums.reset(places, [0.0; 4]));
-        self.clear_coverage(places);
-    }
-
-    /// The same for places where [`Pending::blend_rows`], or [`Pending::blend_cells`], does not look at what was there before.
+    /// Sums for whoever clears them as they are [touched](Self::touch), or does not look at what was there before, as
+    /// [`Pending::blend_rows`] and [`Pending::blend_cells`].
     fn make_room(&mut self, places: usize) {
         self.transmittance.make_room(places);
         self.counts.make_room(places);
         self.weighted.iter_mut().for_each(|sums| sums.make_room(places));
         self.clear_coverage(places);
+    }
+
+    /// No fragments in these rows, unless there have been sums of them before.
+    #[inline(always)]
+    #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+    fn touch(&mut self, rows: &Range<usize>, rect: &Rect) {
+        self.touched.touch(rows);
+        if !self.cleared.contains(self.touched) {
+            self.clear_rows(rect);
+        }
+    }
+
+    /// Several rows at a time: each by itself would take longer than the whole tile.
+    fn clear_rows(&mut self, rect: &Rect) {
+        let fresh = self.cleared.take_eighths(self.touched);
+        for (rows, _) in fresh.stretches(rect.height()).filter(|(_, are_fresh)| *are_fresh) {
+            let places = rows.start * rect.width()..rows.end * rect.width();
+            self.transmittance[places.clone()].fill(1.0);
+            self.counts[places.clone()].fill(0);
+            self.weighted.iter_mut().for_each(|sums| sums[places.clone()].fill([0.0; 4]));
+        }
     }
 
     fn clear_coverage(&mut self, places: usize) {
@@ -186,21 +205,34 @@ impl<'a> TileSums<'a> {
 
     /// Has to come before sums of these pixels, whole rows, are looked at, and may put an end to those of others.
     pub fn reach(&mut self, places: Range<usize>) {
-        if let Kept::Rows(first) = &mut self.kept {
-            *first = places.start;
-            self.sums.make_room(places.len());
-            let columns = self.rect.width();
-            let rows = places.start / columns..places.end / columns;
-            self.pending.blend_rows(rows, columns, &mut self.sums, true);
+        let columns = self.rect.width();
+        let rows = places.start / columns..places.end / columns;
+        match &mut self.kept {
+            Kept::Rows(first) => {
+                *first = places.start;
+                self.sums.make_room(places.len());
+                self.pending.blend_rows(rows, columns, &mut self.sums, true);
+            }
+            Kept::Pixels => self.sums.touch(&rows, &self.rect),
+            Kept::Nothing | Kept::Cells => {}
         }
     }
 
-    /// Clears the sums of all pixels if there are none yet.
+    /// The tile's rows, neighbours together as long as there is something in them or nothing, and which it is.
+    pub fn stretches(&self) -> impl Iterator<Item = (Range<usize>, bool)> + use<> {
+        let rows = self.rect.height();
+        let touched = if self.kept == Kept::Pixels { self.sums.touched } else { self.pending.touched(rows) };
+        touched.without_gaps().stretches(rows)
+    }
+
+    /// Makes room for the sums of all pixels if there is none yet.
     #[inline]
     fn keep_sums(&mut self) {
         if self.kept == Kept::Nothing {
             self.kept = Kept::Pixels;
-            self.sums.clear(self.rect.area() + LANES);
+            self.sums.touched = Touched::none(self.rect.height());
+            self.sums.cleared = self.sums.touched;
+            self.sums.make_room(self.rect.area() + LANES);
         }
     }
 
@@ -209,6 +241,11 @@ impl<'a> TileSums<'a> {
             self.keep_sums();
             let start = Instant::now();
             self.pending.weigh(&mut self.weights, &mut self.weight);
+            for (rows, _) in
+                self.pending.touched(self.rect.height()).stretches(self.rect.height()).filter(|(_, any)| *any)
+            {
+                self.sums.touch(&rows, &self.rect);
+            }
             self.pending.blend_rows(0..self.rect.height(), self.rect.width(), &mut self.sums, false);
             self.pending.clear();
             self.spent(start);
@@ -287,6 +324,7 @@ impl<'r> Sink<'r> for TileSums<'_> {
             flat => {
                 self.stop_waiting();
                 self.keep_sums();
+                self.sums.touch(&cover.at.rows(&self.rect), &self.rect);
                 let fused = self.take_first(cover);
                 self.blend(cover, flat, fused);
                 if self.deferred.is_wanted() {

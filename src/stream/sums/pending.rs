@@ -7,6 +7,7 @@ use super::rows::{Stretch, add_row, blend_row, cover_row};
 use super::{Sums, Weight};
 use crate::continuum::sums::FAINT;
 use crate::raster::{Cover, Premultiplied, Rect, Where};
+use crate::stream::touched::Touched;
 use std::ops::Range;
 
 /// Stretches, neighbours joined, that are worth keeping, at 12 bytes each.
@@ -95,6 +96,14 @@ impl Pending {
         cells.find(rect, &self.rows, self.stretches)
     }
 
+    /// Which of so many rows anything waits in.
+    pub fn touched(&self, rows: usize) -> Touched {
+        let mut touched = Touched::none(rows);
+        let any = self.rows.iter().take(rows).enumerate().filter(|(_, stretches)| !stretches.is_empty());
+        any.for_each(|(row, _)| touched.touch(&(row..row + 1)));
+        touched
+    }
+
     /// Whether nothing waits.
     pub fn is_empty(&self) -> bool {
         self.layers.pixels.is_empty()
@@ -168,7 +177,8 @@ impl Pending {
     /// Blends what waits in these rows of the tile, in the order in which it came, into the sums of their pixels, or into
     /// none where the rows are fresh.
     pub fn blend_rows(&self, rows: Range<usize>, columns: usize, sums: &mut Sums, fresh: bool) {
-        for (row, stretches) in self.rows[rows].iter().enumerate() {
+        let rows = self.rows[rows].iter().enumerate();
+        for (row, stretches) in rows.filter(|(_, stretches)| fresh || !stretches.is_empty()) {
             self.blend(stretches, row * columns..(row + 1) * columns, sums, fresh);
         }
     }
@@ -187,7 +197,7 @@ impl Pending {
     /// Blends stretches of one row into the sums in these places.
     fn blend(&self, stretches: &[Stretch], places: Range<usize>, sums: &mut Sums, fresh: bool) {
         let Layers { left, alpha, faint, .. } = &self.layers;
-        let Sums { weighted, transmittance, coverage, counts, faint: any_faint } = sums;
+        let Sums { weighted, transmittance, coverage, counts, faint: any_faint, .. } = sums;
         let mut weighted = weighted.iter_mut().map(|sums| &mut sums[places.clone()]).zip(&self.added);
         if let Some((sums, added)) = weighted.next() {
             let transmittance = &mut transmittance[places.clone()];
