@@ -62,14 +62,12 @@ def curve(scenes: list[oitlab.Scene], run: Run) -> dict[str, Any]:
     return {"empty": empty, "points": points}
 
 
-def fitted(found: dict[str, Any], size: str) -> dict[str, float | None]:
-    """Exponents per technique; the empty scene's time is the one of the same technique."""
-    sizes = [point[size] for point in found["points"]]
+def fitted(found: dict[str, Any], size: str, first: int = 0) -> dict[str, float | None]:
+    """Exponents per technique from a point on; the empty scene's time is the one of the same technique."""
+    points = found["points"][first:]
+    sizes = [point[size] for point in points]
     return {
-        t: exponent(
-            sizes,
-            [p["times"][t]["median_ms"] - found["empty"][t]["median_ms"] for p in found["points"]],
-        )
+        t: exponent(sizes, [p["times"][t]["median_ms"] - found["empty"][t]["median_ms"] for p in points])
         for t in TECHNIQUES
     }
 
@@ -82,8 +80,11 @@ def threads(run: Run) -> dict[str, Any]:
         what = scene(name, run)
         for technique in TECHNIQUES:
             calls = {n: lambda n=n, w=what, t=technique: oitlab.render(w, t, threads=n) for n in {1, cores}}
-            times = timed({str(n): call for n, call in calls.items()}, min(run.repeats, 5))
-            found[f"{name} {technique}"] = times["1"]["median_ms"] / times[str(cores)]["median_ms"]
+            times = timed({str(n): call for n, call in calls.items()}, run.repeats)
+            one, all_of_them = times["1"], times[str(cores)]
+            found[f"{name} {technique}"] = {
+                kind: one[kind] / all_of_them[kind] for kind in ("median_ms", "min_ms")
+            }
     return {"cores": cores, "speedup": found}
 
 
@@ -99,6 +100,7 @@ def main(run: Run) -> None:
     }
     for size, found in results.items():
         found["exponents"] = fitted(found, size)
+        found["exponents_of_the_larger_half"] = fitted(found, size, len(found["points"]) // 2)
     results["threads"] = threads(run)
     draw(results, run)
     run.save("scaling", results, tables(results))
@@ -112,12 +114,25 @@ def tables(results: dict[str, Any]) -> str:
         rows = [[f"{point[size]:,}", *(three_digits(point["times"][t]["median_ms"]) for t in TECHNIQUES)]
                 for point in found["points"]]  # fmt: skip
         empty = ["empty scene", *(three_digits(found["empty"][t]["median_ms"]) for t in TECHNIQUES)]
-        slopes = ["**exponent**", *("-" if e is None else f"{e:.2f}" for e in found["exponents"].values())]
-        parts += [f"Milliseconds over {size}.", markdown_table([size, *TECHNIQUES], [empty, *rows, slopes])]
+        half = found["points"][len(found["points"]) // 2][size]
+        slopes = [
+            [name, *("-" if e is None else f"{e:.2f}" for e in found[which].values())]
+            for name, which in (
+                ("**exponent**", "exponents"),
+                (f"**from {half:,} on**", "exponents_of_the_larger_half"),
+            )
+        ]
+        parts += [f"Milliseconds over {size}.", markdown_table([size, *TECHNIQUES], [empty, *rows, *slopes])]
     speedup = results["threads"]["speedup"]
     names = dict.fromkeys(key.split()[0] for key in speedup)
-    rows = [[t, *(f"{speedup[f'{n} {t}']:.2f}" for n in names)] for t in TECHNIQUES]
-    parts.append(f"Time on one thread over time on {results['threads']['cores']}.")
+
+    def cell(name: str, technique: str) -> str:
+        ratio = speedup[f"{name} {technique}"]
+        return f"{ratio['median_ms']:.2f} ({ratio['min_ms']:.2f})"
+
+    rows = [[t, *(cell(name, t) for name in names)] for t in TECHNIQUES]
+    cores = results["threads"]["cores"]
+    parts.append(f"Time on one thread over time on {cores}: medians, and in brackets the least times.")
     parts.append(markdown_table(["technique", *names], rows))
     return "\n\n".join(parts)
 
