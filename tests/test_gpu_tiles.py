@@ -314,7 +314,8 @@ def test_what_registers_are_not_is_refused(technique: str, params: dict[str, Any
 
 
 def test_paths_and_scenes_that_are_none_are_refused() -> None:
-    with pytest.raises(ValueError, match=re.escape('path: "tiles"; known: "hardware", "compute", "samples"')):
+    known = '"hardware", "compute", "samples", "linked_lists"'
+    with pytest.raises(ValueError, match=re.escape(f'path: "tiles"; known: {known}')):
         oitlab.gpu.render(SCENES["blades"], "wboit", path="tiles")  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="scene must be a Scene, got int"):
         oitlab.gpu.render(3, "wboit")  # type: ignore[arg-type]

@@ -101,11 +101,11 @@ def render(
     technique: str,
     params: Mapping[str, Any] | None = None,
     *,
-    path: Literal["hardware", "compute", "samples"] = "hardware",
+    path: Literal["hardware", "compute", "samples", "linked_lists"] = "hardware",
     threads: int | None = None,
     skip: bool = True,
 ) -> Frame:
-    """One technique's image, drawn by the device's own raster, by one in compute or by sample masks.
+    """One technique's image, drawn by the device's own raster, one in compute, sample masks or linked lists.
 
     Parameters
     ----------
@@ -115,13 +115,16 @@ def render(
         An id or alias of `oitlab.techniques()`.
     params : mapping, optional
         The technique's parameters, as `oitlab.render` takes them.
-    path : {"hardware", "compute", "samples"}
+    path : {"hardware", "compute", "samples", "linked_lists"}
         "hardware" is what `oitlab.render(..., backend="gpu")` draws with: blend units, depth buffers, lists.
         "compute" sorts the primitives into tiles of 8 x 8 pixels and walks them in submission order, with
         what the technique keeps of a pixel in registers: no lists, no render targets while drawing. For
         techniques that look at all fragments of a pixel at once (`density_clustering`, `deep_shadow_maps`
         ...) tiles fill lists. It is for all techniques, with targets in f32. "samples" is for
-        `stochastic_transparency`, whose masks are then sample masks of the device's.
+        `stochastic_transparency`, whose masks are then sample masks of the device's. "linked_lists" is for
+        what "hardware" draws into lists (`a_buffer`, `mlab`, `lwboit` with `storage="ll"` ...): one pass over
+        the geometry into per-pixel linked lists (Yang et al. 2010), where "hardware" counts in one and stores
+        in another. A pool of nodes that was too small grows, and nothing is lost.
     threads, skip
         As in `oitlab.render`.
 
@@ -135,7 +138,7 @@ def render(
     RuntimeError
         No device.
     ValueError
-        Params that the path has no form for; "samples" for another technique.
+        Params that the path has no form for; "samples" or "linked_lists" for another technique.
     MemoryError
         Not enough memory on the device. On "compute": a few rows of the image (64 to 128, or 8 where there
         are lists) that have more primitives, or fragments, than a buffer holds.
@@ -154,7 +157,7 @@ def render(
     if not isinstance(scene, Scene):
         raise ValueError(f"scene must be a Scene, got {type(scene).__name__}")
     if not isinstance(path, str):
-        raise ValueError(f"path: {path!r}; known: 'hardware', 'compute', 'samples'")
+        raise ValueError(f"path: {path!r}; known: 'hardware', 'compute', 'samples', 'linked_lists'")
     return _render(scene, [(technique, params)], "gpu", threads, skip, "float32", False, path)[0]
 
 

@@ -6,6 +6,7 @@ use super::device::Connection;
 use super::form::tiled::RasterPath;
 use super::form::{Form, Path};
 use super::layouts::Layouts;
+use super::linked::Pool;
 use super::picture::{Picture, buffer, bytes_of};
 use super::recorder::{Recorder, Stage, Times};
 use crate::error::Result;
@@ -57,11 +58,12 @@ pub struct Gpu {
     pub(super) kept: Kept,
 }
 
-/// Targets and an image that wait for the next call of their kind: a device takes milliseconds to make them.
+/// Targets, an image and a pool of nodes that wait for the next call of their kind: a device takes milliseconds to make them.
 #[derive(Debug, Default)]
 pub struct Kept {
     pub(super) targets: Option<Targets>,
     pub(super) canvas: Option<Canvas>,
+    pub(super) pool: Option<Pool>,
 }
 
 impl Kept {
@@ -71,6 +73,11 @@ impl Kept {
     /// The canvas for so many rows of a form's image.
     pub(super) fn canvas(&mut self, connection: &Connection, form: &Form, size: (u32, u32)) -> Canvas {
         Canvas::like(self.canvas.take(), connection, size, textures(form))
+    }
+
+    /// Keeps a pool, which has grown to what was drawn last.
+    pub(super) fn keep_pool(&mut self, pool: Option<Pool>) {
+        self.pool = pool.filter(|pool| pool.bytes() <= Self::MOST);
     }
 
     /// Keeps what can be used again.
@@ -157,7 +164,9 @@ impl Gpu {
         let mut image = match &form.path {
             _ if raster == RasterPath::Compute => self.tiled(picture, form, stop),
             Path::Blended(blending) => self.blended(picture, form, blending, stop),
-            Path::Listed(_) | Path::Streamed(_) => self.listed(picture, form, stop),
+            Path::Listed(_) | Path::Streamed(_) => {
+                self.listed(picture, form, raster == RasterPath::LinkedLists, stop)
+            }
             Path::Sampled(sampling) => self.sampled(picture, form, sampling, stop),
             Path::Peeled(peeling) => self.peeled(picture, form, peeling, stop),
         }?;

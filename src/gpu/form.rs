@@ -216,6 +216,8 @@ const INVALID: &str = include_str!("../../shaders/blocks/invalid.wgsl");
 const OWN_WEIGHT: &str = include_str!("../../shaders/blocks/own_weight.wgsl");
 const RESOLVE: &str = include_str!("../../shaders/blocks/resolve.wgsl");
 const LISTS: &str = include_str!("../../shaders/blocks/lists.wgsl");
+const LINK: &str = include_str!("../../shaders/blocks/link.wgsl");
+const UNLINK: &str = include_str!("../../shaders/blocks/unlink.wgsl");
 const LAYERS: &str = include_str!("../../shaders/blocks/layers.wgsl");
 const RANDOM: &str = include_str!("../../shaders/blocks/random.wgsl");
 const CHANCE: &str = include_str!("../../shaders/blocks/chance.wgsl");
@@ -259,6 +261,16 @@ const BACKGROUND: &str = include_str!("../../shaders/blocks/background.wgsl");
 /// technique's own.
 pub fn list_module() -> String {
     [FRAME, DOUBLE, FRAGMENT, LISTS].join("\n")
+}
+
+/// The module that puts fragments into linked lists, and the one that takes the links out.
+pub fn link_module() -> String {
+    [FRAME, DOUBLE, FRAGMENT, LINK].join("\n")
+}
+
+/// See [`link_module`].
+pub fn unlink_module() -> String {
+    [FRAME, DOUBLE, FRAGMENT, LISTS, UNLINK].join("\n")
 }
 
 /// See [`list_module`].
@@ -355,6 +367,19 @@ impl Form {
             return Ok(Self { shader: sampling.shader, path: Path::Sampled(sampling), ..self });
         }
         let problem = "what has no masks of samples has no form for \"samples\"; path=\"hardware\" has one";
+        Err(Error::argument("path", problem))
+    }
+
+    /// Refuses what is not made of lists.
+    ///
+    /// # Errors
+    /// `Error::Argument` saying so.
+    pub fn check_lists(&self) -> Result<()> {
+        if self.list_reader().is_some() {
+            return Ok(());
+        }
+        let problem =
+            "what keeps no lists of fragments has no form for \"linked_lists\"; path=\"hardware\" has one";
         Err(Error::argument("path", problem))
     }
 

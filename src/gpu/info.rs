@@ -67,8 +67,10 @@ fn describe(connection: &Connection) -> Info {
     Info { texts, features, limits, techniques: Vec::new(), refused: Vec::new() }
 }
 
-/// Storage buffers of a shader that draws into lists, one that draws tiles, and one that fills lists of tiles.
+/// Storage buffers of a shader that draws into lists, one that takes links out of them, one that draws tiles, and one that
+/// fills lists of tiles.
 const OF_LISTS: u32 = 11;
+const OF_LINKED_LISTS: u32 = 13;
 const OF_TILES: u32 = 11;
 const OF_LISTS_OF_TILES: u32 = 17;
 
@@ -82,6 +84,14 @@ impl Connection {
         let problem =
             format!("shaders of this technique see {needed} storage buffers; those of {device}, {most}");
         Err(Error::argument("backend", problem))
+    }
+
+    /// Refuses linked lists where shaders see fewer buffers.
+    ///
+    /// # Errors
+    /// [`crate::Error::Argument`] that says how many they are.
+    pub fn fits_linked_lists(&self) -> Result<()> {
+        self.has_storage_buffers(OF_LINKED_LISTS)
     }
 
     /// Refuses a form whose tiles see more buffers than the device's shaders do.

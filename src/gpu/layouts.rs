@@ -26,6 +26,8 @@ pub struct Layouts {
     targets: HashMap<Vec<Option<Reading>>, BindGroupLayout>,
     /// Group 2 of whoever keeps lists.
     pub lists: BindGroupLayout,
+    /// Group 2 of whoever links fragments, group 3 of whoever takes the links out.
+    pub pool: BindGroupLayout,
     /// Group 2 of peeling: the frontier as keys or as depths, a texture, and whether anything was peeled.
     pub peeled_keys: BindGroupLayout,
     /// See [`Layouts::peeled_keys`].
@@ -161,6 +163,7 @@ impl Layouts {
             geometry: layout("geometry", &[0, 1, 2].map(|binding| entry(binding, buffer(READ)))),
             targets: HashMap::new(),
             tiles: layout("tiles", &tile_entries(&[])),
+            pool: layout("pool", &[0, 1, 2, 3, 4].map(written)),
             lists: layout("lists", &[0, 1, 2, 3, 4, 5, 6].map(written)),
             peeled_keys: layout("peeled keys", &[entry(0, WORDS), entry(1, TEXTURE), in_fragments(2)]),
             peeled_depths: layout("peeled depths", &[entry(0, TEXTURE), entry(1, TEXTURE), in_fragments(2)]),

@@ -5,6 +5,7 @@ use super::draw::{Gpu, Image, Stop, attachment, dispatch, draw_primitives, group
 use super::draws::flag;
 use super::form::{Capacity, Form, ListReader, Sorting, list_module};
 use super::layouts::{Entry, Layouts, Reads, plain};
+use super::linked::Pool;
 use super::picture::{Given, Picture, RANK, buffer, bytes_of, texture};
 use super::recorder::{Recorder, Stage, read};
 use super::tiles::TiledRows;
@@ -12,8 +13,8 @@ use crate::error::{Error, Result};
 use std::ops::Range;
 use std::sync::Arc;
 use wgpu::{
-    BindGroup, Buffer, BufferUsages, Color, ColorWrites, ComputePipeline, LoadOp, StoreOp, TextureFormat,
-    TextureUsages, TextureViewDescriptor,
+    BindGroup, BindGroupLayout, Buffer, BufferUsages, Color, ColorWrites, ComputePipeline, LoadOp, StoreOp,
+    TextureFormat, TextureUsages, TextureViewDescriptor,
 };
 
 /// Bytes of a fragment's colour, the larger part of what is kept of it.
@@ -25,7 +26,7 @@ const COUNT: u64 = 4;
 
 /// The buffers of lists, by their bindings.
 pub(super) struct ListBuffers {
-    group: BindGroup,
+    pub group: BindGroup,
     counts: Buffer,
     places: Buffer,
     row_sums: Buffer,
@@ -36,13 +37,24 @@ pub(super) struct ListBuffers {
 
 /// Lists of some rows on their way through the device.
 pub(super) struct Band<'a> {
-    connection: &'a Connection,
-    layouts: &'a mut Layouts,
-    recorder: Recorder<'a>,
-    picture: &'a Picture,
-    frame: &'a BindGroup,
-    lists: &'a ListBuffers,
-    rows: &'a Range<u32>,
+    pub connection: &'a Connection,
+    pub layouts: &'a mut Layouts,
+    pub recorder: Recorder<'a>,
+    pub picture: &'a Picture,
+    pub frame: &'a BindGroup,
+    pub lists: &'a ListBuffers,
+    pub rows: &'a Range<u32>,
+}
+
+/// Where the fragments of a band come from.
+#[derive(Clone, Copy)]
+pub(super) enum Origin<'a> {
+    /// The device's own raster, which counts them before it stores them.
+    Raster,
+    /// Linked lists, into which they have been drawn.
+    Linked(&'a Pool),
+    /// Tiles, in the order in which they are drawn.
+    Tiles(&'a TiledRows<'a>),
 }
 
 /// What becomes of fragments, with the entry point of the device's own raster.
@@ -77,7 +89,7 @@ impl Gpu {
             let rows = first..(first + most).min(picture.height);
             let frame = self.frame(picture, &rows, &[]);
             let mut band = self.band(picture, &frame, &lists, &rows, stop);
-            band.count(None)?;
+            band.count(Origin::Raster)?;
             sums = band.recorder.finish(&lists.row_sums, 8 * u64::from(picture.height))?.0;
         }
         picture.rows = sums;
@@ -114,7 +126,13 @@ impl Gpu {
     }
 
     /// Lists of all fragments, in as many parts of the image as their number asks for.
-    pub(super) fn listed(&mut self, picture: &Picture, form: &Form, stop: Stop<'_>) -> Result<Image> {
+    pub(super) fn listed(
+        &mut self,
+        picture: &Picture,
+        form: &Form,
+        is_linked: bool,
+        stop: Stop<'_>,
+    ) -> Result<Image> {
         let Some(reader) = form.list_reader() else { unreachable!("it is made of lists") };
         let all_rows = 0..picture.height;
         let bands = self.bands_of_fragments(picture, &all_rows, 1, self.rows_per_band(picture, form))?;
@@ -127,11 +145,18 @@ impl Gpu {
         let mut image = Image::default();
         for rows in &bands {
             let frame = self.frame(picture, rows, &params);
+            let mut pool = None;
+            if is_linked && picture.given.is_none() {
+                let (linked, times) = self.link(picture, &frame, rows, stop)?;
+                image.times = image.times.plus(times);
+                pool = Some(linked);
+            }
             let mut band = self.band(picture, &frame, &lists, rows, stop);
             if let Some(given) = &picture.given {
                 lists.fill(band.connection, given, picture, rows); // in the order that is asked for
             } else {
-                band.draw(is_ranked)?;
+                let origin = pool.as_ref().map_or(Origin::Raster, Origin::Linked);
+                band.fill(origin, is_ranked)?;
                 band.keep_first(form.capacity())?;
                 band.sort(reader.sorted)?;
                 if is_ranked {
@@ -139,6 +164,7 @@ impl Gpu {
                 }
             }
             band.resolve(form, &module, &reader, &mut image)?;
+            self.kept.keep_pool(pool);
         }
         Ok(image)
     }
@@ -155,7 +181,7 @@ impl Gpu {
         for rows in &bands {
             let frame = self.frame(picture, rows, &[]);
             let mut band = self.band(picture, &frame, &lists, rows, stop);
-            band.draw(false)?;
+            band.fill(Origin::Raster, false)?;
             band.sort(Sorting::Submission)?;
             let fragments = fragments_of(picture, rows);
             let pixels = u64::from(picture.width) * u64::from(rows.end - rows.start);
@@ -270,9 +296,9 @@ impl ListBuffers {
 
 impl Band<'_> {
     /// How many fragments each pixel and each row has, and where in its row each pixel's go.
-    fn count(&mut self, tiles: Option<&TiledRows<'_>>) -> Result<()> {
+    fn count(&mut self, origin: Origin<'_>) -> Result<()> {
         self.recorder.clear(&self.lists.counts);
-        self.raster(tiles, Filling::Counts)?;
+        self.hand_over(origin, Filling::Counts)?;
         let pipeline = self.kernel("sum_rows", &[]);
         let Self { recorder, frame, lists, rows, .. } = self;
         recorder.compute(Stage::Raster, |pass| {
@@ -285,22 +311,13 @@ impl Band<'_> {
 
     /// Stores the fragments, with the places of ranks for ids if lists are ranked. They are counted once more than their number
     /// is asked for, so that the time is that of a frame.
-    fn draw(&mut self, is_ranked: bool) -> Result<()> {
-        self.fill(None, if is_ranked { Filling::RankedLists } else { Filling::Lists })
-    }
-
-    /// Stores the fragments of tiles, in the order in which they are drawn.
     ///
     /// # Errors
     /// As [`Recorder::compute`].
-    pub(super) fn draw_tiles(&mut self, tiles: &TiledRows<'_>) -> Result<()> {
-        self.fill(Some(tiles), Filling::Lists)
-    }
-
-    fn fill(&mut self, tiles: Option<&TiledRows<'_>>, filling: Filling) -> Result<()> {
-        self.count(tiles)?;
+    pub(super) fn fill(&mut self, origin: Origin<'_>, is_ranked: bool) -> Result<()> {
+        self.count(origin)?;
         self.step(Stage::Raster, "shift_rows", &[])?;
-        self.raster(tiles, filling)
+        self.hand_over(origin, if is_ranked { Filling::RankedLists } else { Filling::Lists })
     }
 
     /// Sorts every list.
@@ -340,33 +357,28 @@ impl Band<'_> {
         self.layouts.compute(&self.connection.device, entry, Reads::Lists, false, constants)
     }
 
-    /// Fragments of tiles, or of the device's own raster.
-    fn raster(&mut self, tiles: Option<&TiledRows<'_>>, filling: Filling) -> Result<()> {
-        let Some(tiles) = tiles else { return self.hardware_raster(filling.point()) };
-        let Self { connection, layouts, recorder, picture, frame, lists, rows } = self;
-        let extent = (picture.width, rows.end - rows.start);
-        let stores = filling != Filling::Counts;
-        tiles.raster((connection, layouts), recorder, frame, &lists.group, (extent, stores))
+    /// Counts the fragments, or stores them.
+    fn hand_over(&mut self, origin: Origin<'_>, filling: Filling) -> Result<()> {
+        let counts = filling == Filling::Counts;
+        match origin {
+            Origin::Linked(pool) => {
+                let point = if counts { "count_nodes" } else { "unlink" };
+                self.unlink(pool, point, filling == Filling::RankedLists)
+            }
+            Origin::Tiles(tiles) => {
+                let Self { connection, layouts, recorder, picture, frame, lists, rows } = self;
+                let extent = (picture.width, rows.end - rows.start);
+                tiles.raster((connection, layouts), recorder, frame, &lists.group, (extent, !counts))
+            }
+            Origin::Raster => {
+                let Self { connection, layouts, recorder, picture, frame, lists, rows } = self;
+                let entry = Entry { module: &list_module(), point: filling.point() };
+                let (layout, at) = (layouts.lists.clone(), (*frame, *rows));
+                raster_into((connection, layouts), recorder, picture, at, entry, (&layout, &lists.group))
+            }
+        }
     }
 
-    /// A pass wants a target, which nothing is drawn into.
-    fn hardware_raster(&mut self, point: &str) -> Result<()> {
-        let Self { connection, layouts, recorder, picture, frame, lists, rows } = self;
-        let format = TextureFormat::R8Unorm;
-        let size = (picture.width, rows.end - rows.start);
-        let unused = texture(connection, "none", size, format, TextureUsages::RENDER_ATTACHMENT);
-        let unused = unused.create_view(&TextureViewDescriptor::default());
-        let entry = Entry { module: &list_module(), point };
-        let states = [plain(format, ColorWrites::empty())];
-        let pipeline = layouts.render(&connection.device, entry, picture.draws(true), Reads::Lists, &states);
-        let target = attachment(&unused, LoadOp::Clear(Color::TRANSPARENT), StoreOp::Discard);
-        recorder.render(Stage::Raster, &[target], |pass| {
-            pass.set_pipeline(&pipeline);
-            pass.set_bind_group(0, *frame, &[]);
-            pass.set_bind_group(2, &lists.group, &[]);
-            draw_primitives(pass, picture, rows, 0);
-        })
-    }
     /// Makes the image of the lists.
     ///
     /// # Errors
@@ -385,4 +397,29 @@ impl Band<'_> {
         let groups = [frame, &lists.group];
         resolve(connection, layouts, recorder, picture, form, rows, &pipeline, groups, image)
     }
+}
+
+/// Draws all fragments of some rows into buffers, which are group 2. A pass wants a target, which nothing is drawn into.
+pub(super) fn raster_into(
+    (connection, layouts): (&Connection, &mut Layouts),
+    recorder: &mut Recorder<'_>,
+    picture: &Picture,
+    (frame, rows): (&BindGroup, &Range<u32>),
+    entry: Entry<'_>,
+    (layout, buffers): (&BindGroupLayout, &BindGroup),
+) -> Result<()> {
+    let format = TextureFormat::R8Unorm;
+    let size = (picture.width, rows.end - rows.start);
+    let unused = texture(connection, "none", size, format, TextureUsages::RENDER_ATTACHMENT);
+    let unused = unused.create_view(&TextureViewDescriptor::default());
+    let states = [plain(format, ColorWrites::empty())];
+    let draws = picture.draws(true);
+    let pipeline = layouts.render_with(&connection.device, entry, draws, &states, Some(layout), None);
+    let target = attachment(&unused, LoadOp::Clear(Color::TRANSPARENT), StoreOp::Discard);
+    recorder.render(Stage::Raster, &[target], |pass| {
+        pass.set_pipeline(&pipeline);
+        pass.set_bind_group(0, frame, &[]);
+        pass.set_bind_group(2, buffers, &[]);
+        draw_primitives(pass, picture, rows, 0);
+    })
 }

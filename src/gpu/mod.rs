@@ -21,6 +21,8 @@ mod info;
 #[cfg(feature = "gpu")]
 mod layouts;
 #[cfg(feature = "gpu")]
+mod linked;
+#[cfg(feature = "gpu")]
 mod lists;
 #[cfg(feature = "gpu")]
 mod peel;

@@ -109,6 +109,7 @@ fn fit(shared: &Shared, source: Source<'_>, forms: &[Form], raster: RasterPath) 
         RasterPath::Hardware | RasterPath::Samples => {
             forms.iter().try_for_each(|form| shared.connection().fits(form))
         }
+        RasterPath::LinkedLists => shared.connection().fits_linked_lists(),
         RasterPath::Compute => forms.iter().try_for_each(|form| shared.connection().fits_in_tiles(form)),
     }
 }
@@ -177,6 +178,7 @@ fn bound(asked: &Asked, source: Source<'_>, view: &params::View, raster: RasterP
         RasterPath::Hardware => {}
         RasterPath::Compute => drop(form.tiled_module()?),
         RasterPath::Samples => form = form.by_samples()?,
+        RasterPath::LinkedLists => form.check_lists()?,
     }
     // lists of a scene are sorted on the device, those that are given before they are taken there
     let of_lists = |sorted| match sorted {
@@ -205,7 +207,7 @@ fn bound(asked: &Asked, source: Source<'_>, view: &params::View, raster: RasterP
                 "a capacity has no form on the backend \"gpu\" for fragments that are there already";
             return Err(variant.params.error(problem, "there capacity is 0, or it is a scene that is drawn"));
         }
-        Some(capacity) if raster == RasterPath::Hardware || form.is_listed_in_tiles() => {
+        Some(capacity) if raster != RasterPath::Compute || form.is_listed_in_tiles() => {
             of_lists(capacity.sorted)
         }
         // the first ones are those that are drawn first
@@ -342,7 +344,7 @@ impl<'a> Job<'a> {
 
     fn answer(&mut self, bound: &Bound, raster: RasterPath) -> Result<Answer> {
         let listed = matches!(bound.form.path, Path::Listed(_) | Path::Streamed(_));
-        let key = self.key(bound.order, listed && raster == RasterPath::Hardware);
+        let key = self.key(bound.order, listed && raster != RasterPath::Compute);
         if !self.shared.has(key) {
             self.load(key)?;
         }

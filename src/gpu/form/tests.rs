@@ -118,6 +118,16 @@ fn masks_of_samples_are_a_form_of_what_has_masks() {
 }
 
 #[test]
+fn what_is_made_of_lists_may_have_linked_ones() {
+    let is_listed = |id, given: &[(&str, &str)]| {
+        form(crate::techniques::find(id).unwrap(), given).unwrap().check_lists().is_ok()
+    };
+    assert!(is_listed("a_buffer", &[]) && is_listed("deep_shadow_maps", &[]));
+    assert!(is_listed("lwboit", &[("storage", "ll")]) && !is_listed("lwboit", &[("storage", "lr")]));
+    assert!(!is_listed("wboit", &[]));
+}
+
+#[test]
 fn shared_modules_are_valid() {
     let lists = list_module();
     let names = interface(&validated("lists", &lists)).1.join(" ");
@@ -125,6 +135,9 @@ fn shared_modules_are_valid() {
         assert!(names.contains(name), "{names}");
     }
     validated("background", &background_module());
+    let names = |module: String| interface(&validated("linked lists", &module)).1.join(" ");
+    assert!(names(link_module()).contains("link_fragment"));
+    assert!(names(unlink_module()).contains("count_nodes unlink"));
 }
 
 #[test]

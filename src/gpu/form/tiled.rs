@@ -22,6 +22,8 @@ pub enum RasterPath {
     Compute,
     /// The device's own, into samples of a pixel by masks.
     Samples,
+    /// The device's own, into linked lists.
+    LinkedLists,
 }
 
 impl RasterPath {
@@ -34,8 +36,10 @@ impl RasterPath {
             "hardware" => Ok(Self::Hardware),
             "compute" => Ok(Self::Compute),
             "samples" => Ok(Self::Samples),
+            "linked_lists" => Ok(Self::LinkedLists),
             other => {
-                let problem = format!("{other:?}; known: \"hardware\", \"compute\", \"samples\"");
+                let problem =
+                    format!("{other:?}; known: \"hardware\", \"compute\", \"samples\", \"linked_lists\"");
                 Err(Error::argument("path", problem))
             }
         }

@@ -8,6 +8,7 @@ use crate::gpu::draw::{Gpu, Image, Stop};
 use crate::gpu::draws::flag;
 use crate::gpu::form::{Form, Sorting};
 use crate::gpu::layouts::Layouts;
+use crate::gpu::lists::Origin;
 use crate::gpu::picture::Picture;
 use crate::gpu::recorder::{Recorder, Stage};
 use std::ops::Range;
@@ -84,7 +85,7 @@ impl Gpu {
             for rows in bands {
                 let frame = self.frame(picture, rows, &params);
                 let mut band = self.band(picture, &frame, &lists, rows, stop);
-                band.draw_tiles(&tiles)?;
+                band.fill(Origin::Tiles(&tiles), false)?;
                 band.keep_first(form.capacity())?;
                 // any other order is the one in which they are drawn
                 if reader.sorted == Sorting::Depth {
