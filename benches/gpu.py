@@ -226,8 +226,8 @@ def table_of_storages(found: dict[str, dict[str, float]]) -> list[str]:
         for name, row in found.items()
     ]
     return [
-        "lwboit by lists, which draw the geometry once (linked) or twice (counted), and by layered rendering, "
-        "as often as its bins and its shape ask for: milliseconds on the device (FEE21 table 3).",
+        "lwboit by lists, which draw the geometry once (linked) or twice (counted), and by layered rendering,"
+        " as often as its bins and its shape ask for: milliseconds on the device (FEE21 table 3).",
         markdown_table(["scene", "triangles", *STORAGES, "layers / linked lists"], rows),
     ]
 

@@ -1,6 +1,7 @@
 """The raster in compute against the device's own: the same pixels, and the same images but for rounding."""
 
 import re
+import time
 from typing import Any
 
 import numpy as np
@@ -110,7 +111,8 @@ def test_params_in_tiles_are_those_of_the_cpu(technique: str, params: dict[str, 
 
 @pytest.mark.parametrize("technique", TILED)
 def test_under_every_param_tiles_do_what_the_other_raster_does(technique: str) -> None:
-    scene = oitlab.scenes.squares(width=24, height=16)
+    scene = oitlab.scenes.squares(width=70, height=9)  # in two bins
+    compared = 0
     for param in oitlab.techniques()[technique].params:
         for value in values_of(param):
             params = {param.name: value}
@@ -123,6 +125,20 @@ def test_under_every_param_tiles_do_what_the_other_raster_does(technique: str) -
             most, worst, share = bounds(technique, params)
             assert distance.max() <= worst, (params, distance.max())
             assert (distance <= most).mean() >= share, params
+            compared += 1
+    assert compared >= 2
+
+
+@pytest.mark.parametrize("path", ["compute", "linked_lists"])
+def test_passes_that_follow_each_other_say_how_long_they_took(path: str) -> None:
+    """Stamps of compute passes may all be of the last one's end: then the clock on the wall has to do."""
+    scene = oitlab.scenes.soup(width=480, height=270, count=20_000)
+    for _ in range(2):  # the first call compiles
+        start = time.perf_counter()
+        stats = oitlab.gpu.render(scene, "deep_shadow_maps", path=path).stats  # type: ignore[arg-type]
+        whole = 1e3 * (time.perf_counter() - start)
+    assert 0.1 * whole < stats.raster_ms + stats.resolve_ms < whole
+    assert min(stats.raster_ms, stats.resolve_ms) > 0
 
 
 LISTS: list[tuple[str, dict[str, Any]]] = [

@@ -120,8 +120,9 @@ def render(
         "compute" sorts the primitives into tiles of 8 x 8 pixels and walks them in submission order, with
         what the technique keeps of a pixel in registers: no lists, no render targets while drawing. For
         techniques that look at all fragments of a pixel at once (`density_clustering`, `deep_shadow_maps`
-        ...) tiles fill lists. It is for all techniques, with targets in f32. "samples" is for
-        `stochastic_transparency`, whose masks are then sample masks of the device's. "linked_lists" is for
+        ...) tiles fill lists. It is for all techniques, with targets in f32 and maps of up to 1024 numbers
+        per pixel. "samples" is for `stochastic_transparency`, whose masks are then sample masks of the
+        device's. "linked_lists" is for
         what "hardware" draws into lists (`a_buffer`, `mlab`, `lwboit` with `storage="ll"` ...): one pass over
         the geometry into per-pixel linked lists (Yang et al. 2010), where "hardware" counts in one and stores
         in another. A pool of nodes that was too small grows, and nothing is lost.

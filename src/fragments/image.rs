@@ -28,6 +28,16 @@ impl Background {
             Self::Image(colors) => colors[i],
         }
     }
+
+    /// The same with 0 for what equals it.
+    fn without_negative_zeros(mut self) -> Self {
+        let colors = match &mut self {
+            Self::Constant(color) => std::slice::from_mut(color),
+            Self::Image(colors) => colors,
+        };
+        colors.as_flattened_mut().iter_mut().for_each(|channel| *channel += 0.0);
+        self
+    }
 }
 
 /// An image's worth of fragments with all that a technique needs to resolve them.
@@ -81,6 +91,7 @@ impl Fragments {
         check_offsets(&lists, width as usize * height as usize)?;
         check_values(&lists)?;
         check_background(&background, width, height)?;
+        let background = background.without_negative_zeros();
         check_clip_planes(near, far)?;
         check_depth_range(depth_range)?;
         if let Some(depths) = &primitive_depth {
@@ -240,5 +251,8 @@ mod tests {
         assert!(message(|i| i.background = Background::Constant([f32::NAN; 3])).contains("background"));
         let image = vec![[0.0; 3], [-1.0, 0.0, 0.0]];
         assert!(message(|i| i.background = Background::Image(image)).contains("(x=1, y=0)"));
+        for background in [Background::Constant([-0.0; 3]), Background::Image(vec![[-0.0; 3]; 2])] {
+            assert_eq!(background.without_negative_zeros().at(0).map(f32::to_bits), [0; 3]);
+        }
     }
 }

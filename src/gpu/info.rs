@@ -75,14 +75,21 @@ const OF_TILES: u32 = 11;
 const OF_LISTS_OF_TILES: u32 = 17;
 
 impl Connection {
+    /// Refuses any picture where shaders do not see the buffers that fragments are counted in.
+    ///
+    /// # Errors
+    /// [`crate::Error::Argument`] that says how many they are.
+    pub fn counts_fragments(&self) -> Result<()> {
+        self.has_storage_buffers(OF_LISTS)
+    }
+
     fn has_storage_buffers(&self, needed: u32) -> Result<()> {
         let most = self.limits.max_storage_buffers_per_shader_stage;
         if needed <= most {
             return Ok(());
         }
         let device = &self.info.name;
-        let problem =
-            format!("shaders of this technique see {needed} storage buffers; those of {device}, {most}");
+        let problem = format!("shaders see {needed} storage buffers here, and those of {device} only {most}");
         Err(Error::argument("backend", problem))
     }
 
@@ -109,7 +116,7 @@ impl Connection {
     pub fn fits(&self, form: &Form) -> Result<()> {
         match &form.path {
             Path::Blended(blending) => self.target_formats(blending).map(drop),
-            Path::Listed(_) | Path::Streamed(_) => self.has_storage_buffers(OF_LISTS),
+            Path::Listed(_) | Path::Streamed(_) => Ok(()),
             Path::Sampled(sampling) => {
                 sampling.sums.iter().try_for_each(|sum| self.target_format(sum).map(drop))
             }

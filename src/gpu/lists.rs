@@ -7,7 +7,7 @@ use super::form::{Capacity, Form, ListReader, Sorting, list_module};
 use super::layouts::{Entry, Layouts, Reads, plain};
 use super::linked::Pool;
 use super::picture::{Given, Picture, RANK, buffer, bytes_of, texture};
-use super::recorder::{Recorder, Stage, read};
+use super::recorder::{Recorder, Stage, Times, read};
 use super::tiles::TiledRows;
 use crate::error::{Error, Result};
 use std::ops::Range;
@@ -109,6 +109,20 @@ impl Gpu {
         Band { connection, layouts, recorder, picture, frame, lists, rows }
     }
 
+    /// The same where all that follows are compute passes.
+    pub(super) fn band_of_compute<'a>(
+        &'a mut self,
+        picture: &'a Picture,
+        frame: &'a BindGroup,
+        lists: &'a ListBuffers,
+        rows: &'a Range<u32>,
+        stop: Stop<'a>,
+    ) -> Band<'a> {
+        let Self { connection, layouts, .. } = self;
+        let recorder = Recorder::of_compute(connection, stop);
+        Band { connection, layouts, recorder, picture, frame, lists, rows }
+    }
+
     /// Room for so many rows and fragments.
     fn lists(&self, picture: &Picture, rows: u32, fragments: u64, ranks: Option<&Buffer>) -> ListBuffers {
         let usage = BufferUsages::STORAGE | BufferUsages::COPY_SRC;
@@ -151,7 +165,11 @@ impl Gpu {
                 image.times = image.times.plus(times);
                 pool = Some(linked);
             }
-            let mut band = self.band(picture, &frame, &lists, rows, stop);
+            let mut band = if pool.is_some() {
+                self.band_of_compute(picture, &frame, &lists, rows, stop)
+            } else {
+                self.band(picture, &frame, &lists, rows, stop)
+            };
             if let Some(given) = &picture.given {
                 lists.fill(band.connection, given, picture, rows); // in the order that is asked for
             } else {
@@ -236,10 +254,16 @@ impl Gpu {
             let rows = row..(row + unit).min(part.end);
             let fragments = fragments_of(picture, &rows);
             if fragments > most {
-                let these =
-                    if unit == 1 { format!("row {row}") } else { format!("rows {row} to {}", rows.end - 1) };
+                let (these, instead) = if unit == 1 {
+                    (format!("row {row}"), "")
+                } else {
+                    (
+                        format!("rows {row} to {}", rows.end - 1),
+                        ", and for path=\"hardware\" one row has to fit",
+                    )
+                };
                 return Err(Error::Memory(format!(
-                    "the {fragments} fragments of {these}; {} keeps {most} at a time: a smaller image has fewer in a row",
+                    "the {fragments} fragments of {these}; {} keeps {most} at a time: a smaller image has fewer in a row{instead}",
                     self.connection.info.name
                 )));
             }
@@ -294,7 +318,7 @@ impl ListBuffers {
     }
 }
 
-impl Band<'_> {
+impl<'a> Band<'a> {
     /// How many fragments each pixel and each row has, and where in its row each pixel's go.
     fn count(&mut self, origin: Origin<'_>) -> Result<()> {
         self.recorder.clear(&self.lists.counts);
@@ -318,6 +342,28 @@ impl Band<'_> {
         self.count(origin)?;
         self.step(Stage::Raster, "shift_rows", &[])?;
         self.hand_over(origin, if is_ranked { Filling::RankedLists } else { Filling::Lists })
+    }
+
+    /// Refuses rows of other numbers of fragments than the device's own raster has found, which there is room for. What has been
+    /// recorded is done by then; the time that it took.
+    ///
+    /// # Errors
+    /// [`Error::Gpu`] naming the row, and as [`Recorder::finish`].
+    pub(super) fn check_counts(&mut self, stop: Stop<'a>) -> Result<Times> {
+        let Self { connection, recorder, picture, lists, rows, .. } = self;
+        let recorded = std::mem::replace(recorder, Recorder::of_compute(connection, stop));
+        let (sums, times) = recorded.finish::<[u32; 2]>(&lists.row_sums, 8 * u64::from(picture.height))?;
+        let both = sums.iter().zip(&picture.rows).zip(0..);
+        let here = both.filter(|(_, row)| rows.contains(row));
+        for (([found, _], [counted, _]), row) in here {
+            if found != counted && found >> 31 == 0 {
+                return Err(Error::Gpu(format!(
+                    "tiles have {found} fragments in row {row}, and the raster of {} {counted}; path=\"hardware\" uses that alone",
+                    connection.info.name
+                )));
+            }
+        }
+        Ok(times)
     }
 
     /// Sorts every list.

@@ -8,9 +8,9 @@ use std::sync::mpsc::channel;
 use std::time::Instant;
 use wgpu::{
     Buffer, BufferUsages, CommandEncoder, CommandEncoderDescriptor, ComputePass, ComputePassDescriptor,
-    ComputePassTimestampWrites, Features, LoadOp, MapMode, Operations, QuerySet, QuerySetDescriptor,
-    QueryType, RenderPass, RenderPassColorAttachment, RenderPassDepthStencilAttachment, RenderPassDescriptor,
-    RenderPassTimestampWrites, StoreOp, TextureView,
+    ComputePassTimestampWrites, DeviceType, Features, LoadOp, MapMode, Operations, QuerySet,
+    QuerySetDescriptor, QueryType, RenderPass, RenderPassColorAttachment, RenderPassDepthStencilAttachment,
+    RenderPassDescriptor, RenderPassTimestampWrites, StoreOp, TextureView,
 };
 
 /// What a pass belongs to.
@@ -62,6 +62,16 @@ fn encoder(connection: &Connection) -> CommandEncoder {
 impl<'a> Recorder<'a> {
     pub fn new(connection: &'a Connection, stop: &'a (dyn Fn() -> bool + Sync)) -> Self {
         Self::expecting(PASSES, connection, stop)
+    }
+
+    /// One of compute passes that follow each other. Drivers for the processor write the stamps of all of them at the end, so that
+    /// they are waited for there.
+    pub fn of_compute(connection: &'a Connection, stop: &'a (dyn Fn() -> bool + Sync)) -> Self {
+        let mut recorder = Self::new(connection, stop);
+        if connection.info.device_type == DeviceType::Cpu {
+            recorder.stamps = None;
+        }
+        recorder
     }
 
     /// One with room for the stamps of so many passes; beyond what a set holds they are waited for.

@@ -105,6 +105,7 @@ fn forms(asked: &[Asked], source: Source<'_>, raster: RasterPath) -> Result<Vec<
 fn fit(shared: &Shared, source: Source<'_>, forms: &[Form], raster: RasterPath) -> Result<()> {
     let (width, height) = source.size();
     check_size(shared.connection(), width, height)?;
+    shared.connection().counts_fragments()?;
     match raster {
         RasterPath::Hardware | RasterPath::Samples => {
             forms.iter().try_for_each(|form| shared.connection().fits(form))

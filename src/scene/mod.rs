@@ -42,6 +42,8 @@ impl Scene {
                 format!("have {faces} faces in all, 2^32 - 1 are allowed"),
             ));
         }
+        // -0 equals 0, and is that from here on
+        let background = background.map(|channel| channel + 0.0);
         Ok(Self { meshes, camera, width, height, background })
     }
 
@@ -103,6 +105,8 @@ mod tests {
         assert!(scene(0, 1, [0.0; 3]).starts_with("width: 0"));
         assert!(scene(1, 40_000, [0.0; 3]).starts_with("height: 40000"));
         assert!(scene(1, 1, [0.0, f32::NAN, 0.0]).starts_with("background"));
+        let black = Scene::new(vec![], camera(), 1, 1, [-0.0; 3]).unwrap();
+        assert_eq!(black.background().map(f32::to_bits), [0; 3]);
     }
 
     #[test]

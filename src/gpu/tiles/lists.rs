@@ -75,7 +75,7 @@ impl Gpu {
             let frame = self.frame(picture, &pixel_rows(picture.height, plan.side, &part.rows), &[]);
             let Self { connection, layouts, .. } = &mut *self;
             let binning = bins.binning((connection, layouts), &part.rows, true);
-            let mut recorder = Recorder::new(connection, stop);
+            let mut recorder = Recorder::of_compute(connection, stop);
             recorder.clear(&bins.cells);
             recorder.compute(Stage::Raster, |pass| bins.record(pass, &frame, &binning))?;
             let (first_bin, times): (Vec<u32>, _) = recorder.finish(&bins.cells, 4 * BIN as u64)?;
@@ -84,8 +84,9 @@ impl Gpu {
             let tiles = TiledRows { bins: &bins, drawing, rows: &part.rows };
             for rows in bands {
                 let frame = self.frame(picture, rows, &params);
-                let mut band = self.band(picture, &frame, &lists, rows, stop);
+                let mut band = self.band_of_compute(picture, &frame, &lists, rows, stop);
                 band.fill(Origin::Tiles(&tiles), false)?;
+                image.times = image.times.plus(band.check_counts(stop)?);
                 band.keep_first(form.capacity())?;
                 // any other order is the one in which they are drawn
                 if reader.sorted == Sorting::Depth {
