@@ -153,11 +153,11 @@ mod tests {
         groups[11] = 1; // seven without between them
         assert_eq!(cut(&groups, true), [(12, false), (8, true)]);
         groups[12] = 5000; // more than are resolved at a time
-        assert_eq!(cut(&groups, true), [(12, false), (8, false)]);
+        assert_eq!(cut(&groups, true), [(12, false), (1, false), (7, false)]);
         groups[2..].fill(0);
         groups[9] = 4000;
         groups[10] = 97;
-        assert_eq!(cut(&groups, true), [(9, true), (1, false), (10, false)]);
+        assert_eq!(cut(&groups, true), [(9, true), (1, false), (1, false), (9, true)]);
         assert_eq!(cut(&[], true), []);
     }
 }
