@@ -37,6 +37,15 @@ STORAGES: dict[str, tuple[str, Way]] = {
 """What stores lwboit's fragments: its `storage`, and the path."""
 PATHS: tuple[Way, ...] = ("hardware", "compute")
 ON_BOTH_PATHS = ("wboit", "alpha_compositing", "mlab", "k_buffer", "multilayer_depth_peeling")
+BLENDED = (
+    "alpha_compositing",
+    "weighted_sum",
+    "weighted_average",
+    "blended_oit",
+    "wboit",
+    "phenomenological",
+)
+"""What draws once and keeps nothing of a pixel but its targets, which every fragment reads and writes."""
 AIM = 1.5
 """Times the fastest peer's milliseconds that wboit may take on a driver that runs on the processor."""
 
@@ -67,6 +76,7 @@ def frames(
         **pooled(sum(times) for times in passes),
         "raster_ms": raster,
         "resolve_ms": resolve,
+        "bytes_per_pixel": frame.stats.bytes_per_pixel,
         "call_ms": statistics.median(calls),
         "first_call_ms": first,
         "fragments_per_second": 1e3 * frame.stats.fragments / max(raster + resolve, 1e-9),
@@ -175,10 +185,12 @@ def main(run: Run) -> None:
         "interface": info.interface,
         "features": dict(info.features),
         "limits": dict(info.limits),
+        "copy_bandwidth": oitlab.gpu.copy_bandwidth(),
     }
     parts = [f"Device: {info.adapter} ({info.kind}, {info.interface}; {info.driver} {info.driver_info})."]
     for label, found in results.items():
         parts += tables(label, found)
+        parts += table_of_memory(label, found, device["copy_bandwidth"])
     parts += table_of_storages(layers)
     parts += table_of_paths(rasters)
     parts += table_of_peers(peers)
@@ -211,6 +223,25 @@ def tables(label: str, results: dict[str, Any]) -> list[str]:
         table(calls),
         f"{label}: millions of fragments per second on the device / largest difference from the CPU backend.",
         table(lambda f, _n, _r: f"{f['fragments_per_second'] / 1e6:,.0f} / {f['off_cpu']:.0e}"),
+    ]
+
+
+def table_of_memory(label: str, results: dict[str, Any], bandwidth: float) -> list[str]:
+    """What blended fragments ask of the device's memory, beside what it does when it copies."""
+
+    def share(found: dict[str, Any], fragments: int) -> str:
+        asked = 2 * found["bytes_per_pixel"] * fragments / (1e-3 * max(found["raster_ms"], 1e-9))
+        return f"{100 * asked / bandwidth:.0f} %"
+
+    rows = [
+        [name, *(share(row["techniques"][name], row["fragments"]) for row in results.values())]
+        for name in BLENDED
+        if all(name in row["techniques"] for row in results.values())
+    ]
+    return [
+        f"{label}: bytes of targets that fragments read and write per second of the passes over the geometry,"
+        f" in parts of the {bandwidth / 1e9:,.1f} GB/s of a copy. Caches may take them beyond all of it.",
+        markdown_table(["technique", *results], rows),
     ]
 
 

@@ -141,6 +141,7 @@ def test_the_device_is_measured_beside_the_cpu(bench: dict[str, Any]) -> None:
     found = bench["gpu"]
     assert DEVICE is not None
     assert found["device"]["adapter"] == DEVICE.adapter
+    assert found["device"]["copy_bandwidth"] > 1e8
     (rows,) = found["sizes"].values()
     assert list(rows) == SCENES
     for row in rows.values():

@@ -441,3 +441,8 @@ assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 3
         [sys.executable, "-W", "ignore", "-c", code], capture_output=True, text=True, check=False, timeout=120
     )
     assert done.returncode == 0, done.stderr
+
+
+def test_memory_is_as_fast_as_memory_is() -> None:
+    """Some GB/s on a processor, some TB/s on a card."""
+    assert 1e8 < oitlab.gpu.copy_bandwidth() < 1e15

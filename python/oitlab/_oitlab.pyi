@@ -21,6 +21,7 @@ __all__ = [
     "check_gpu",
     "cost",
     "diagnose",
+    "gpu_copy_bandwidth",
     "gpu_info",
     "order_sensitivity",
     "render",
@@ -187,6 +188,7 @@ def check_gpu(
     asks_device: bool,
 ) -> None: ...
 def capture_gpu(scene: Scene) -> Fragments: ...
+def gpu_copy_bandwidth() -> float: ...
 def gpu_info() -> dict[str, Any]: ...
 def diagnose(
     source: Scene | Fragments,

@@ -96,6 +96,35 @@ def info() -> GpuInfo:
     )
 
 
+def copy_bandwidth() -> float:
+    """Measure how fast the device's memory is, which bounds what blends fragments into render targets.
+
+    Returns
+    -------
+    float
+        Bytes per second that a compute shader reads and writes, taken together, while it copies up to
+        256 MiB; the best of six copies.
+
+    Raises
+    ------
+    RuntimeError
+        No device.
+    MemoryError
+        Not enough memory on the device.
+
+    Examples
+    --------
+    >>> import oitlab
+    >>> try:
+    ...     is_fast = oitlab.gpu.copy_bandwidth() > 1e8
+    ... except RuntimeError:  # no driver
+    ...     is_fast = True
+    >>> is_fast
+    True
+    """
+    return _oitlab.gpu_copy_bandwidth()
+
+
 def render(
     scene: Scene,
     technique: str,

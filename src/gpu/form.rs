@@ -273,6 +273,11 @@ pub fn unlink_module() -> String {
     [FRAME, DOUBLE, FRAGMENT, LISTS, UNLINK].join("\n")
 }
 
+/// The module that copies a buffer.
+pub fn copy_module() -> String {
+    include_str!("../../shaders/blocks/copy.wgsl").to_owned()
+}
+
 /// See [`list_module`].
 pub fn background_module() -> String {
     [FRAME, BACKGROUND].join("\n")

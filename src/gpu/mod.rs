@@ -4,6 +4,8 @@
 //! submission order, so that both cover the same pixels. What a technique does there is a [`form::Form`].
 
 #[cfg(feature = "gpu")]
+mod bandwidth;
+#[cfg(feature = "gpu")]
 mod blend;
 #[cfg(feature = "gpu")]
 mod canvas;
@@ -37,6 +39,8 @@ mod shared;
 #[cfg(feature = "gpu")]
 mod tiles;
 
+#[cfg(feature = "gpu")]
+pub use bandwidth::copy_bandwidth;
 #[cfg(feature = "gpu")]
 pub(crate) use draw::Stop;
 #[cfg(feature = "gpu")]

@@ -91,6 +91,11 @@ impl Shared {
         &self.gpu.connection
     }
 
+    /// The device with what has been made for it.
+    pub(super) fn gpu(&self) -> &Gpu {
+        &self.gpu
+    }
+
     /// Whether the scene is on the device.
     pub fn has(&self, key: Key) -> bool {
         self.kept.iter().any(|kept| kept.key == key)

@@ -98,6 +98,20 @@ pub fn capture_gpu(py: Python<'_>, scene: &Bound<'_, PyScene>) -> PyResult<PyFra
     }
 }
 
+/// Bytes per second that the device reads and writes when it copies.
+#[pyfunction]
+pub fn gpu_copy_bandwidth(py: Python<'_>) -> PyResult<f64> {
+    #[cfg(feature = "gpu")]
+    {
+        interruptible(py, On::Own, &Failures::default(), crate::gpu::copy_bandwidth)
+    }
+    #[cfg(not(feature = "gpu"))]
+    {
+        _ = py;
+        none_here()
+    }
+}
+
 /// The device, and for each technique without a form that it can run, why.
 #[pyfunction]
 pub fn gpu_info(py: Python<'_>) -> PyResult<Bound<'_, PyDict>> {

@@ -26,7 +26,7 @@ mod extension {
     #[pymodule_export]
     use super::frame::PyFrame;
     #[pymodule_export]
-    use super::gpu::{capture_gpu, check_gpu, gpu_info, render_gpu};
+    use super::gpu::{capture_gpu, check_gpu, gpu_copy_bandwidth, gpu_info, render_gpu};
     #[pymodule_export]
     use super::run::{capture, check, cost, diagnose, order_sensitivity, render, techniques, transmittance};
     #[pymodule_export]

@@ -135,6 +135,7 @@ fn shared_modules_are_valid() {
         assert!(names.contains(name), "{names}");
     }
     validated("background", &background_module());
+    validated("copy", &copy_module());
     let names = |module: String| interface(&validated("linked lists", &module)).1.join(" ");
     assert!(names(link_module()).contains("link_fragment"));
     assert!(names(unlink_module()).contains("count_nodes unlink"));
