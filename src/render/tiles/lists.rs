@@ -13,6 +13,8 @@ use std::time::Instant;
 
 /// Fragments that are shaded, sorted and resolved at a time: few enough to stay in the cache.
 const BATCH_FRAGMENTS: usize = 4096;
+/// Groups of pixels that are resolved at a time, at most.
+const MOST_GROUPS: usize = BATCH_FRAGMENTS / TileLists::GROUP;
 /// Groups of pixels without fragments that are worth leaving out, one after the other.
 const EMPTY_GROUPS: usize = 8;
 
@@ -27,6 +29,7 @@ impl Groups {
     /// has the fragments of each.
     fn from(next: usize, groups: &[u32], may_skip: bool) -> Self {
         let rest = &groups[next..];
+        let rest = &rest[..rest.len().min(MOST_GROUPS)];
         if !may_skip {
             return Self {
                 count: part_end(0, rest.len(), BATCH_FRAGMENTS, |i| rest[i] as usize),
@@ -159,5 +162,7 @@ mod tests {
         groups[10] = 97;
         assert_eq!(cut(&groups, true), [(9, true), (1, false), (1, false), (9, true)]);
         assert_eq!(cut(&[], true), []);
+        let many = vec![0; MOST_GROUPS + 3];
+        assert_eq!(cut(&many, false), [(MOST_GROUPS, false), (3, false)]);
     }
 }
