@@ -103,7 +103,7 @@ def copy_bandwidth() -> float:
     -------
     float
         Bytes per second that a compute shader reads and writes, taken together, while it copies up to
-        256 MiB; the best of six copies.
+        256 MiB, or what `OITLAB_GPU_BUFFER_BYTES` leaves of a buffer; the best of six copies.
 
     Raises
     ------
@@ -154,7 +154,7 @@ def render(
         device's. "linked_lists" is for
         what "hardware" draws into lists (`a_buffer`, `mlab`, `lwboit` with `storage="ll"` ...): one pass over
         the geometry into per-pixel linked lists (Yang et al. 2010), where "hardware" counts in one and stores
-        in another. A pool of nodes that was too small grows, and nothing is lost.
+        in another. A pool of nodes that was too small grows, which draws again, and nothing is lost.
     threads, skip
         As in `oitlab.render`.
 

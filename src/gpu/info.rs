@@ -131,5 +131,6 @@ fn why_not(connection: &Connection, technique: &technique::Info) -> Option<Strin
     let table = technique.param_table();
     let form: Result<Form> = check(technique.id, &table, &[])
         .and_then(|checked| make(&checked.resolve(&table, &View::ORDINARY), &View::ORDINARY));
-    form.and_then(|form| connection.fits(&form)).err().map(|error| error.to_string())
+    let fits = form.and_then(|form| connection.counts_fragments().and_then(|()| connection.fits(&form)));
+    fits.err().map(|error| error.to_string())
 }

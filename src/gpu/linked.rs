@@ -14,7 +14,7 @@ use wgpu::{BindGroup, Buffer, BufferUsages};
 /// Bytes of a node, and of the largest of its parts.
 const NODE: u64 = 28;
 const COLOR: u64 = 16;
-/// Nodes per pixel of a pool that no frame has filled yet.
+/// Nodes per pixel of a pool, at least.
 const NODES_PER_PIXEL: u64 = 2;
 
 /// The pixels' first nodes, and all nodes.
@@ -60,10 +60,10 @@ impl Gpu {
         let pixels = u64::from(picture.width) * u64::from(rows.end - rows.start);
         let most = self.most_bytes() / COLOR;
         let kept = self.kept.pool.take();
-        let nodes = kept.as_ref().map_or(NODES_PER_PIXEL * pixels, |pool| pool.nodes).min(most);
+        let least = (NODES_PER_PIXEL * pixels).min(most);
         let mut pool = match kept {
-            Some(pool) if pool.pixels >= pixels && pool.nodes <= most => pool,
-            _ => Pool::new(self, pixels, nodes),
+            Some(pool) if pool.pixels >= pixels && (least..=most).contains(&pool.nodes) => pool,
+            _ => Pool::new(self, pixels, least),
         };
         let mut all_times = Times::default();
         loop {
@@ -81,7 +81,9 @@ impl Gpu {
             if found <= pool.nodes {
                 return Ok((pool, all_times));
             }
-            pool = Pool::new(self, pool.pixels, found);
+            let pixels = pool.pixels;
+            drop(pool); // there may not be room for both
+            pool = Pool::new(self, pixels, found);
         }
     }
 }

@@ -128,6 +128,7 @@ pub fn capture_on_gpu(
 ) -> Result<Fragments> {
     with_threads(options.threads, |_| {
         let (captured, range) = with_gpu(|shared| {
+            shared.connection().counts_fragments()?;
             let mut job = Job::new(Source::Scene(scene), shared, stop);
             let key = job.key(SubmissionOrder::AsIs, true);
             let range = if job.shared.has(key) { job.range()? } else { job.load(key)? };
