@@ -42,7 +42,7 @@ impl Gpu {
         for first in (0..picture.height).step_by(most as usize) {
             let rows = first..(first + most).min(picture.height);
             let frame = self.frame(picture, &rows, &[]);
-            let mut band = self.band(picture, &frame, &lists, &rows, stop);
+            let mut band = self.band(picture, &frame, &lists, &rows, |on| Recorder::new(on, stop));
             band.count(Origin::Raster)?;
             sums = band.recorder.finish(&lists.row_sums, 8 * u64::from(picture.height))?.0;
         }
@@ -50,31 +50,17 @@ impl Gpu {
         Ok(())
     }
 
+    /// Lists of some rows whose passes `recorder` times.
     pub(super) fn band<'a>(
         &'a mut self,
         picture: &'a Picture,
         frame: &'a BindGroup,
         lists: &'a ListBuffers,
         rows: &'a Range<u32>,
-        stop: Stop<'a>,
+        recorder: impl FnOnce(&'a Connection) -> Recorder<'a>,
     ) -> Band<'a> {
         let Self { connection, layouts, .. } = self;
-        let recorder = Recorder::new(connection, stop);
-        Band { connection, layouts, recorder, picture, frame, lists, rows }
-    }
-
-    /// The same where all that follows are compute passes.
-    pub(super) fn band_of_compute<'a>(
-        &'a mut self,
-        picture: &'a Picture,
-        frame: &'a BindGroup,
-        lists: &'a ListBuffers,
-        rows: &'a Range<u32>,
-        stop: Stop<'a>,
-    ) -> Band<'a> {
-        let Self { connection, layouts, .. } = self;
-        let recorder = Recorder::of_compute(connection, stop);
-        Band { connection, layouts, recorder, picture, frame, lists, rows }
+        Band { recorder: recorder(connection), connection, layouts, picture, frame, lists, rows }
     }
 
     /// Room for so many rows and fragments.
@@ -119,11 +105,8 @@ impl Gpu {
                 image.times = image.times.plus(times);
                 pool = Some(linked);
             }
-            let mut band = if pool.is_some() {
-                self.band_of_compute(picture, &frame, &lists, rows, stop)
-            } else {
-                self.band(picture, &frame, &lists, rows, stop)
-            };
+            let recorder = if pool.is_some() { Recorder::of_compute } else { Recorder::new };
+            let mut band = self.band(picture, &frame, &lists, rows, |on| recorder(on, stop));
             if let Some(given) = &picture.given {
                 lists.fill(band.connection, given, picture, rows); // in the order that is asked for
             } else {
@@ -152,7 +135,7 @@ impl Gpu {
         let mut captured = Given::default();
         for rows in &bands {
             let frame = self.frame(picture, rows, &[]);
-            let mut band = self.band(picture, &frame, &lists, rows, stop);
+            let mut band = self.band(picture, &frame, &lists, rows, |on| Recorder::new(on, stop));
             band.fill(Origin::Raster, false)?;
             band.sort(Sorting::Submission)?;
             let fragments = fragments_of(picture, rows);

@@ -84,7 +84,7 @@ impl Gpu {
             let tiles = TiledRows { bins: &bins, drawing, rows: &part.rows };
             for rows in bands {
                 let frame = self.frame(picture, rows, &params);
-                let mut band = self.band_of_compute(picture, &frame, &lists, rows, stop);
+                let mut band = self.band(picture, &frame, &lists, rows, |on| Recorder::of_compute(on, stop));
                 band.fill(Origin::Tiles(&tiles), false)?;
                 image.times = image.times.plus(band.check_counts(stop)?);
                 band.keep_first(form.capacity())?;
