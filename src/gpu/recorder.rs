@@ -64,8 +64,8 @@ impl<'a> Recorder<'a> {
         Self::expecting(PASSES, connection, stop)
     }
 
-    /// One of compute passes that follow each other. Drivers for the processor write the stamps of all of them at the end, so that
-    /// they are waited for there.
+    /// One of compute passes that follow each other. Between stamps, drivers for the processor lose most of their time, also where
+    /// each is submitted by itself: there the clock on the wall has to do.
     pub fn of_compute(connection: &'a Connection, stop: &'a (dyn Fn() -> bool + Sync)) -> Self {
         let mut recorder = Self::new(connection, stop);
         if connection.info.device_type == DeviceType::Cpu {
