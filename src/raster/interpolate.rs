@@ -1,7 +1,7 @@
 //! Depth and perspective-correct barycentric coordinates at pixel centres.
 //!
-//! Every pixel is evaluated on its own from the primitive's vertices, or stepped from a neighbour where that is exact, so
-//! that tiles, threads and SIMD widths cannot change a bit; and every result is clamped to the vertices' range.
+//! Every pixel is evaluated on its own from the primitive's vertices, so that tiles, threads and SIMD widths cannot change a
+//! bit; and every result is clamped to the vertices' range.
 
 use super::pixels::Pixels;
 use super::project::{CENTER, Projector, SUBPIXELS, ScreenVertex};
@@ -72,9 +72,29 @@ pub struct Plane {
     area: f64,
     /// 1/z of the corners in perspective, z otherwise.
     values: [f64; 3],
+    slope: Option<Slope>,
     perspective: bool,
     range: (f64, f64),
 }
+
+/// What gives the depth, the sum of the edge functions times the corners' values, as the affine function of the pixel that it is.
+/// That takes fewer steps per pixel, and a few for the triangle: only large ones have it.
+///
+/// Its terms are as large as the triangle's extents, and cancel where the area is small beside those: slivers do without, as the
+/// products of their edge functions are all of one sign.
+#[derive(Debug, Clone, Copy)]
+struct Slope {
+    /// The sum at the first corner.
+    at_origin: f64,
+    /// What it gains per sub-pixel to the right and down.
+    gain: (f64, f64),
+}
+
+/// Triangles have a slope whose width times height is that of so many pixels.
+const LARGE: f64 = (32 * 32 * SUBPIXELS * SUBPIXELS) as f64;
+/// How much larger than the sum the slope's terms may be. A handful of them are rounded to 2^-53 of themselves: 2^-33 of the sum at
+/// most, where a depth is rounded to 2^-24.
+const CANCELLATION: f64 = 65_536.0;
 
 impl Plane {
     /// The plane through three unclipped vertices of nonzero area.
@@ -85,16 +105,18 @@ impl Plane {
         let (to_1, to_2) = (difference(1), difference(2));
         let z = [v[0].z, v[1].z, v[2].z];
         let area = to_1.0 * to_2.1 - to_2.0 * to_1.1;
-        Self {
-            origin: (v[0].x, v[0].y),
-            to_1,
-            to_2,
-            area,
-            // written out: a function's name would be called, and not for the instruction set at hand
-            values: if perspective { [1.0 / z[0], 1.0 / z[1], 1.0 / z[2]] } else { z },
-            perspective,
-            range: (z[0].min(z[1]).min(z[2]), z[0].max(z[1]).max(z[2])),
-        }
+        let range = (z[0].min(z[1]).min(z[2]), z[0].max(z[1]).max(z[2]));
+        // written out: a function's name would be called, and not for the instruction set at hand
+        let values = if perspective { [1.0 / z[0], 1.0 / z[1], 1.0 / z[2]] } else { z };
+        let extents = (to_1.0.abs() + to_2.0.abs()) * (to_1.1.abs() + to_2.1.abs());
+        // the largest value over the least is the farthest depth over the nearest
+        let has_slope = extents > LARGE && extents * range.1 < CANCELLATION * area.abs() * range.0;
+        let slope = has_slope.then(|| {
+            let (rise_1, rise_2) = (values[1] - values[0], values[2] - values[0]);
+            let gain = (to_2.1 * rise_1 - to_1.1 * rise_2, to_1.0 * rise_2 - to_2.0 * rise_1);
+            Slope { at_origin: area * values[0], gain }
+        });
+        Self { origin: (v[0].x, v[0].y), to_1, to_2, area, values, slope, perspective, range }
     }
 }
 
@@ -109,16 +131,20 @@ impl Plane {
     fn at(&self, x: i32, y: i32) -> Hit {
         let dx = f64::from(x * SUBPIXELS + CENTER - self.origin.0);
         let dy = f64::from(y * SUBPIXELS + CENTER - self.origin.1);
-        let [l0, l1, l2] = self.edges(dx, dy);
+        let edges @ [l0, l1, l2] = self.edges(dx, dy);
+        let sum = match self.slope {
+            Some(slope) => slope.sum(slope.row(dy), dx),
+            None => self.sum(edges),
+        };
         let [v0, v1, v2] = self.values;
         let (p0, p1, p2) = (l0 * v0, l1 * v1, l2 * v2);
-        let sum = p0 + p1 + p2;
-        let (depth, weights) = if self.perspective {
-            (self.area / sum, [p0 / sum, p1 / sum, p2 / sum])
+        let all = p0 + p1 + p2;
+        let weights = if self.perspective {
+            [p0 / all, p1 / all, p2 / all]
         } else {
-            (sum / self.area, [l0 / self.area, l1 / self.area, l2 / self.area])
+            [l0 / self.area, l1 / self.area, l2 / self.area]
         };
-        Hit { depth: clamp_depth(depth, self.range) as f32, weights }
+        Hit { depth: self.depth(sum) as f32, weights }
     }
 }
 
@@ -130,22 +156,23 @@ fn clamp_depth(depth: f64, (low, high): (f64, f64)) -> f64 {
     if depth < high { depth } else { high }
 }
 
-impl Plane {
-    /// The depths of some pixels: the bits of [`Surface::at`].
+impl Slope {
+    /// What the sums so many sub-pixels below the first corner have in common ...
     #[inline(always)]
     #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
-    #[expect(clippy::cast_possible_truncation, reason = "fragments store depth as f32")]
-    pub fn depths_at(&self, pixels: &Pixels, depth: &mut [f32]) {
-        let (x0, y0) = pixels.origin();
-        let (right, down) =
-            (x0 * SUBPIXELS + CENTER - self.origin.0, y0 * SUBPIXELS + CENTER - self.origin.1);
-        for (depth, &at) in depth.iter_mut().zip(pixels.at()) {
-            let dx = f64::from((at & 0xFFFF).cast_signed() * SUBPIXELS + right);
-            let dy = f64::from((at >> 16).cast_signed() * SUBPIXELS + down);
-            *depth = self.depth(self.edges(dx, dy)) as f32;
-        }
+    fn row(self, dy: f64) -> f64 {
+        self.at_origin + dy * self.gain.1
     }
 
+    /// ... and the one so many to the right of it.
+    #[inline(always)]
+    #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+    fn sum(self, row: f64, dx: f64) -> f64 {
+        row + dx * self.gain.0
+    }
+}
+
+impl Plane {
     /// The edge functions so many sub-pixels right of the first corner and below it: whole numbers, and exact inside of
     /// the triangle.
     #[inline(always)]
@@ -156,15 +183,46 @@ impl Plane {
         [self.area - l1 - l2, l1, l2]
     }
 
-    /// The depth where the edge functions have these values.
+    /// The sum of the edge functions times the corners' values.
     #[inline(always)]
     #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
-    fn depth(&self, [l0, l1, l2]: [f64; 3]) -> f64 {
+    fn sum(&self, [l0, l1, l2]: [f64; 3]) -> f64 {
         let [v0, v1, v2] = self.values;
-        let sum = l0 * v0 + l1 * v1 + l2 * v2;
+        l0 * v0 + l1 * v1 + l2 * v2
+    }
+
+    /// The depth where the sum is this.
+    #[inline(always)]
+    #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+    fn depth(&self, sum: f64) -> f64 {
         // one division, whichever it is
         let (above, below) = if self.perspective { (self.area, sum) } else { (sum, self.area) };
         clamp_depth(above / below, self.range)
+    }
+
+    /// The depths of some pixels: the bits of [`Surface::at`].
+    #[inline(always)]
+    #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+    #[expect(clippy::cast_possible_truncation, reason = "fragments store depth as f32")]
+    pub fn depths_at(&self, pixels: &Pixels, depth: &mut [f32]) {
+        let (x0, y0) = pixels.origin();
+        let (right, down) =
+            (x0 * SUBPIXELS + CENTER - self.origin.0, y0 * SUBPIXELS + CENTER - self.origin.1);
+        let pixels = pixels.at().iter().map(|at| {
+            let dx = f64::from((at & 0xFFFF).cast_signed() * SUBPIXELS + right);
+            let dy = f64::from((at >> 16).cast_signed() * SUBPIXELS + down);
+            (dx, dy)
+        });
+        // loops that need not choose
+        if let Some(slope) = self.slope {
+            for (depth, (dx, dy)) in depth.iter_mut().zip(pixels) {
+                *depth = self.depth(slope.sum(slope.row(dy), dx)) as f32;
+            }
+        } else {
+            for (depth, (dx, dy)) in depth.iter_mut().zip(pixels) {
+                *depth = self.depth(self.sum(self.edges(dx, dy))) as f32;
+            }
+        }
     }
 
     /// The depths of all pixels of the runs, one after the other in `depth`, which has room for [`LANES`] more: the
@@ -172,14 +230,13 @@ impl Plane {
     #[inline(always)]
     #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
     fn depths(&self, runs: &[Run], depth: &mut [f32]) {
-        let steps = Steps::new(self);
         let mut next = 0;
         for run in runs {
             // whole vectors, the ends of which the next run writes over
             let end = next + run.len as usize;
             let whole = &mut depth[next..next + (end - next).next_multiple_of(LANES)];
             for (x, depth) in (run.x..).step_by(STEPS).zip(whole.chunks_mut(STEPS)) {
-                self.depths_from(x, run.y, &steps, depth);
+                self.depths_from(x, run.y, depth);
             }
             next = end;
         }
@@ -195,40 +252,32 @@ impl Plane {
     #[inline(always)]
     #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
     #[expect(clippy::cast_possible_truncation, reason = "fragments store depth as f32")]
-    fn depths_from(&self, x: i32, y: i32, steps: &Steps, depth: &mut [f32]) {
-        let dx = f64::from(x * SUBPIXELS + CENTER - self.origin.0);
+    fn depths_from(&self, x: i32, y: i32, depth: &mut [f32]) {
+        let first = f64::from(x * SUBPIXELS + CENTER - self.origin.0);
         let dy = f64::from(y * SUBPIXELS + CENTER - self.origin.1);
-        let [l0, l1, l2] = self.edges(dx, dy);
-        let steps = steps.l0.iter().zip(&steps.l1).zip(&steps.l2);
-        for (depth, ((step_0, step_1), step_2)) in depth.iter_mut().zip(steps) {
-            *depth = self.depth([l0 + step_0, l1 + step_1, l2 + step_2]) as f32;
+        if let Some(slope) = self.slope {
+            let row = slope.row(dy);
+            for (depth, step) in depth.iter_mut().zip(SUBPIXELS_TO) {
+                *depth = self.depth(slope.sum(row, first + step)) as f32;
+            }
+        } else {
+            for (depth, step) in depth.iter_mut().zip(SUBPIXELS_TO) {
+                *depth = self.depth(self.sum(self.edges(first + step, dy))) as f32;
+            }
         }
     }
 }
 
-/// What is added to the edge functions of a pixel to have those of the pixels right of it. Both are whole numbers and exact,
-/// and so are their sums wherever the pixel is in the triangle: the bits of a pixel that is evaluated on its own, for a
-/// third of the arithmetic.
-struct Steps {
-    l0: [f64; STEPS],
-    l1: [f64; STEPS],
-    l2: [f64; STEPS],
-}
-
-impl Steps {
-    #[inline(always)]
-    #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
-    fn new(plane: &Plane) -> Self {
-        let mut steps = Self { l0: [0.0; STEPS], l1: [0.0; STEPS], l2: [0.0; STEPS] };
-        let all = steps.l0.iter_mut().zip(&mut steps.l1).zip(&mut steps.l2);
-        for (((l0, l1), l2), i) in all.zip(0..) {
-            let dx = f64::from(i * SUBPIXELS);
-            (*l1, *l2) = (dx * plane.to_2.1, -(dx * plane.to_1.1));
-            *l0 = -*l1 - *l2;
-        }
-        steps
+/// How many sub-pixels right of a pixel the pixels right of it are.
+const SUBPIXELS_TO: &[f64; STEPS] = &{
+    let mut steps = [0.0; STEPS];
+    let mut i = 1;
+    while i < STEPS {
+        steps[i] = steps[i - 1] + SUBPIXELS as f64;
+        i += 1;
     }
-}
+    steps
+};
 
 #[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
 fn depths_of_many(plane: &Plane, runs: &[Run], depth: &mut [f32]) {
@@ -275,6 +324,7 @@ mod tests {
     use super::super::cover::Rect;
     use super::super::pixels::FEW;
     use super::*;
+    use crate::random::hash32;
     use crate::scene::{Camera, Projection};
 
     fn projector(projection: Projection) -> Projector {
@@ -371,6 +421,55 @@ mod tests {
             }
             assert!(seen > 1000, "{seen}");
         }
+    }
+
+    #[test]
+    fn slopes_are_as_precise_as_edge_functions_and_not_for_slivers() {
+        let (mut sloped, mut slivers) = (0, 0);
+        for n in 0..3000_u32 {
+            let random = |k: u32| f64::from(hash32(n, k, 0, 0, 0)) / f64::from(u32::MAX);
+            // up to the guard band, and down to a sub-pixel's width
+            let (size, width) = (2_f64.powf(13.0 + 12.0 * random(0)), 2_f64.powf(-24.0 * random(1)));
+            let along = |k: u32| (random(k) - 0.5) * size;
+            let corner = |k: u32, z: f64| {
+                let (t, across) = (along(k), along(k + 1) * width);
+                #[expect(clippy::cast_possible_truncation, reason = "sub-pixels of the guard band")]
+                let [x, y] = [t * 0.8 - across * 0.6, t * 0.6 + across * 0.8].map(|c| c.round() as i32);
+                ScreenVertex { x, y, z }
+            };
+            let steep = 10_f64.powf(4.0 * random(2));
+            let corners = [corner(10, 1.1), corner(20, 1.1 + random(3)), corner(30, 1.1 * steep)];
+            for perspective in [true, false] {
+                let plane = Plane::new(&corners, perspective);
+                if plane.area == 0.0 {
+                    continue;
+                }
+                let Some(slope) = plane.slope else {
+                    slivers += 1;
+                    continue;
+                };
+                sloped += 1;
+                for k in 40..50 {
+                    // somewhere in the triangle
+                    let (mut a, mut b) = (random(k), random(k + 100));
+                    if a + b > 1.0 {
+                        (a, b) = (1.0 - a, 1.0 - b);
+                    }
+                    let dx = (a * plane.to_1.0 + b * plane.to_2.0).round();
+                    let dy = (a * plane.to_1.1 + b * plane.to_2.1).round();
+                    let edges = plane.edges(dx, dy);
+                    if edges.iter().any(|l| l * plane.area < 0.0) {
+                        continue;
+                    }
+                    let (sum, expected) = (slope.sum(slope.row(dy), dx), plane.sum(edges));
+                    assert!(
+                        (sum / expected - 1.0).abs() < 2_f64.powi(-33),
+                        "{n}: {sum} {expected} {plane:?}"
+                    );
+                }
+            }
+        }
+        assert!(sloped > 500 && slivers > 500, "{sloped} {slivers}");
     }
 
     #[test]
