@@ -112,6 +112,24 @@ const LANES: usize = 8;
 #[inline(always)]
 #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
 fn fill(at: &Fragments<'_>, weights: &mut [f32], w: impl Fn(f32, f32) -> f32) {
+    fill_within(at, weights, |z, a| bounded(w(at.seen.see(z), a)));
+}
+
+/// The same for weights that are no larger than [`WEIGHT_BOUNDS`] allow, and faster where depths are seen as they are.
+#[inline(always)]
+#[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+fn fill_below_ceiling(at: &Fragments<'_>, weights: &mut [f32], w: impl Fn(f32, f32) -> f32) {
+    if at.seen.is_depth() {
+        fill_within(at, weights, |z, a| not_less(w(not_less(z, MIN_DEPTH), a), WEIGHT_BOUNDS.0));
+    } else {
+        fill_within(at, weights, |z, a| not_less(w(at.seen.see(z), a), WEIGHT_BOUNDS.0));
+    }
+}
+
+/// The same for weights that have their bounds, of depths as they are.
+#[inline(always)]
+#[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+fn fill_within(at: &Fragments<'_>, weights: &mut [f32], w: impl Fn(f32, f32) -> f32) {
     let rest = fill_blocks::<MANY>(at, weights, &w);
     let (at, weights) = (at.from(rest), &mut weights[rest..]);
     let rest = fill_blocks::<LANES>(&at, weights, &w);
@@ -120,7 +138,7 @@ fn fill(at: &Fragments<'_>, weights: &mut [f32], w: impl Fn(f32, f32) -> f32) {
         let (mut z, mut a, mut all) = ([1.0; LANES], [1.0; LANES], [0.0; LANES]);
         z[..at.depth.len()].copy_from_slice(at.depth);
         a[..at.depth.len()].copy_from_slice(at.alpha);
-        fill_lanes(at.seen, &z, &a, &mut all, &w);
+        fill_lanes(&z, &a, &mut all, &w);
         weights.copy_from_slice(&all[..weights.len()]);
     }
 }
@@ -135,7 +153,7 @@ fn fill_blocks<const N: usize>(
 ) -> usize {
     let (depth, alpha) = (at.depth.as_chunks::<N>().0, at.alpha.as_chunks::<N>().0);
     for ((weights, z), a) in weights.as_chunks_mut::<N>().0.iter_mut().zip(depth).zip(alpha) {
-        fill_lanes(at.seen, z, a, weights, w);
+        fill_lanes(z, a, weights, w);
     }
     N * depth.len()
 }
@@ -143,7 +161,6 @@ fn fill_blocks<const N: usize>(
 #[inline(always)]
 #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
 fn fill_lanes<const N: usize>(
-    seen: Seen,
     z: &[f32; N],
     a: &[f32; N],
     weights: &mut [f32; N],
@@ -151,7 +168,7 @@ fn fill_lanes<const N: usize>(
 ) {
     let mut all = [0.0; N];
     for lane in 0..N {
-        all[lane] = bounded(w(seen.see(z[lane]), a[lane]));
+        all[lane] = w(z[lane], a[lane]);
     }
     *weights = all;
 }
@@ -176,8 +193,15 @@ impl Fragments<'_> {
 #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
 fn bounded(w: f32) -> f32 {
     let (floor, ceiling) = WEIGHT_BOUNDS;
-    let w = if w > floor { w } else { floor };
+    let w = not_less(w, floor);
     if w < ceiling { w } else { ceiling }
+}
+
+/// The larger one; `least` where `x` is no number.
+#[inline(always)]
+#[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+fn not_less(x: f32, least: f32) -> f32 {
+    if x > least { x } else { least }
 }
 
 /// `z^-k`; by multiplication where k is a small whole number, which is faster and as exact.
@@ -240,16 +264,22 @@ impl Formula {
         match *self {
             Self::One => weights.fill(1.0),
             Self::Mb7 => {
-                fill(at, weights, |z, a| a * mb(10.0 / (1e-5 + square(z * (1.0 / 5.0)) + far(z))));
+                fill_below_ceiling(at, weights, |z, a| {
+                    a * mb(10.0 / (1e-5 + square(z * (1.0 / 5.0)) + far(z)))
+                });
             }
             Self::Mb8 => {
-                fill(at, weights, |z, a| a * mb(10.0 / (1e-5 + cube(z * (1.0 / 10.0)) + far(z))));
+                fill_below_ceiling(at, weights, |z, a| {
+                    a * mb(10.0 / (1e-5 + cube(z * (1.0 / 10.0)) + far(z)))
+                });
             }
             Self::Mb9 => {
-                fill(at, weights, |z, a| a * mb(0.03 / (1e-5 + square(square(z * (1.0 / 200.0))))));
+                fill_below_ceiling(at, weights, |z, a| {
+                    a * mb(0.03 / (1e-5 + square(square(z * (1.0 / 200.0)))))
+                });
             }
             Self::Mb10(planes) => {
-                fill(at, weights, |z, a| a * (3e3 * cube(planes.one_minus_depth(z))).max(1e-2));
+                fill_below_ceiling(at, weights, |z, a| a * (3e3 * cube(planes.one_minus_depth(z))).max(1e-2));
             }
             Self::InvPow { k } => inverse_power(at, weights, k),
             #[expect(clippy::cast_possible_truncation, reason = "weights are evaluated in f32")]
@@ -292,8 +322,12 @@ impl Seen {
     #[inline(always)]
     #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
     fn see(self, z: f32) -> f32 {
-        let seen = self.scale * z + self.shift;
-        if seen > MIN_DEPTH { seen } else { MIN_DEPTH }
+        not_less(self.scale * z + self.shift, MIN_DEPTH)
+    }
+
+    /// Whether it is the depth itself.
+    fn is_depth(self) -> bool {
+        self.scale == 1.0 && self.shift == 0.0
     }
 }
 
