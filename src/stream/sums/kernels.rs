@@ -20,6 +20,7 @@ const CHANNELS: usize = 4;
 /// as many numbers before the first weight and behind the last, and behind the last place. Pixels beside a run are multiplied by
 /// one and get zero added, which changes no bit of theirs: sums begin at +0, so that none is -0, and zero times the colour is zero.
 #[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
+#[expect(clippy::cast_possible_truncation, reason = "a lane")]
 pub fn blend_flat(runs: &[Run], weights: &[f32], color: Premultiplied, places: Places<'_>) {
     let Places { transmittance, counts, sums } = places;
     let left = 1.0 - f64::from(color[3]);
@@ -27,34 +28,44 @@ pub fn blend_flat(runs: &[Run], weights: &[f32], color: Premultiplied, places: P
     for (i, channel) in channels.iter_mut().enumerate() {
         *channel = color[i % CHANNELS];
     }
+    let (transmittance, counts, sums) =
+        (transmittance.as_chunks_mut().0, counts.as_chunks_mut().0, sums.as_chunks_mut().0);
+    // of one length, for one check per run
+    let room = transmittance.len().min(counts.len()).min(sums.len());
+    let (transmittance, counts, sums) = (&mut transmittance[..room], &mut counts[..room], &mut sums[..room]);
     let mut next = LANES;
     for run in runs {
-        let pixels = run.pixels();
-        let (before, end) = (pixels.start % LANES, pixels.end.next_multiple_of(LANES));
-        let groups = pixels.start - before..end;
-        let weights = weights[next - before..][..groups.len()].as_chunks().0;
-        next += pixels.len();
-        let transmittance = transmittance[groups.clone()].as_chunks_mut().0;
-        let counts = counts[groups.clone()].as_chunks_mut().0;
-        let sums = sums[groups].as_chunks_mut().0;
-        let mut first = 0_usize.wrapping_sub(before);
-        for (((t, n), sums), weights) in transmittance.iter_mut().zip(counts).zip(sums).zip(weights) {
-            blend_group(first, pixels.len(), weights, left, &channels, t, n, sums);
-            first = first.wrapping_add(LANES);
+        let before = run.first % LANES as u32;
+        let groups = run.groups();
+        let weights = weights[next - before as usize..].as_chunks().0;
+        next += run.len as usize;
+        // which pixel of the run each is, those before it beyond all of them
+        let mut pixels = [0; LANES];
+        for (lane, pixel) in pixels.iter_mut().enumerate() {
+            *pixel = (lane as u32).wrapping_sub(before);
+        }
+        let transmittance = transmittance[groups.clone()].iter_mut();
+        let (counts, sums) = (&mut counts[groups.clone()], &mut sums[groups]);
+        for (((t, n), sums), weights) in transmittance.zip(counts).zip(sums).zip(weights) {
+            let mut inside = [0; LANES];
+            for (inside, pixel) in inside.iter_mut().zip(pixels) {
+                *inside = if pixel < run.len { u32::MAX } else { 0 };
+            }
+            blend_group(&inside, weights, left, &channels, t, n, sums);
+            for pixel in &mut pixels {
+                *pixel = pixel.wrapping_add(LANES as u32);
+            }
             // or a compiler makes vectors across groups, and of each group scalars
             black_box(());
         }
     }
 }
 
-/// The same for one group, whose first pixel is the run's pixel `first`, or comes before it.
+/// The same for one group, whose pixels are in the run where all bits of `inside` are set.
 #[inline(always)]
 #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
-#[expect(clippy::cast_possible_truncation, reason = "pixels of a tile")]
-#[expect(clippy::too_many_arguments, reason = "all of what a group has")]
 fn blend_group(
-    first: usize,
-    len: usize,
+    inside: &[u32; LANES],
     weights: &[f32; LANES],
     left: f64,
     channels: &[f32; CHANNELS * LANES],
@@ -62,11 +73,6 @@ fn blend_group(
     counts: &mut [u32; LANES],
     sums: &mut [[f32; CHANNELS]; LANES],
 ) {
-    let (first, len) = (first as u32, len as u32);
-    let mut inside = [0; LANES];
-    for (lane, inside) in inside.iter_mut().enumerate() {
-        *inside = if first.wrapping_add(lane as u32) < len { u32::MAX } else { 0 };
-    }
     for lane in 0..LANES {
         transmittance[lane] *= if inside[lane] != 0 { left } else { 1.0 };
     }
