@@ -33,7 +33,7 @@ impl Run {
 /// Rows that are looked at together, at most; in whole vectors.
 const ROWS: usize = 64;
 
-/// Adding and taking away again rounds to the nearest integer.
+/// Adding it rounds to the nearest integer, which is in the last bits then.
 const ROUND: f64 = 6_755_399_441_055_744.0; // 1.5 * 2^52
 
 /// Beyond any column, that of the flattest edge's line far outside of the image included.
@@ -46,85 +46,121 @@ const FAR: f64 = f64::INFINITY;
 /// and computed to within 2^-51 times the numbers on the way. Where the crossing is in the image those are no
 /// larger than 2^15 + r |dx| / |dy| with r rows, r |dx| < 2^40 and d = 256 |dy|, so that no crossing there is taken
 /// for its neighbour; one that is outside, which may be by 2^42 pixels, is not taken for one in the image.
+///
+/// Rounding can wait until crossings have been compared with each other and with columns.
 #[derive(Clone, Copy)]
-struct Edge {
+struct Line {
     /// `(n - 1/2) / d + 1/2` at the first row, and from row to row.
     at_first: f64,
     step: f64,
-    /// What makes a left edge no limit on the right, and the other way round.
-    on_left: f64,
-    on_right: f64,
 }
 
-impl Edge {
-    /// The edge from `a` to `b` as seen from row `y` on; `sign` is that of the triangle's area. A horizontal
-    /// edge has no crossings, and the triangle's bounds are limit enough.
+impl Line {
+    /// The line from `a` to `b` as seen from row `y` on. A horizontal one has no crossings, and counts as one far on the left.
     #[inline(always)]
     #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
-    fn new(a: (i32, i32), b: (i32, i32), y: i32, sign: f64) -> Self {
+    fn new(a: (i32, i32), b: (i32, i32), y: i32) -> Self {
         let (dx, dy) = (f64::from(b.0 - a.0), f64::from(b.1 - a.1));
         let flat = dy == 0.0;
         let (below, left_of) = (f64::from(y * SUBPIXELS + CENTER - a.1), f64::from(a.0 - CENTER));
         // both n and d change sign with dy
         let half = if dy < 0.0 { -0.5 } else { 0.5 };
         let inverse = 1.0 / (f64::from(SUBPIXELS) * if flat { 1.0 } else { dy });
-        let is_left = dy * sign < 0.0;
         Self {
-            at_first: if flat { 0.0 } else { (left_of * dy + below * dx - half) * inverse + 0.5 },
+            at_first: if flat { -FAR } else { (left_of * dy + below * dx - half) * inverse + 0.5 },
             step: if flat { 0.0 } else { f64::from(SUBPIXELS) * dx * inverse },
-            on_left: if is_left { 0.0 } else { -FAR },
-            on_right: if is_left || flat { FAR } else { 0.0 },
         }
     }
 
-    /// The three edges of a triangle.
+    /// What the crossing with the row that many rows below the first rounds to.
     #[inline(always)]
     #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
-    fn all([a, b, c]: [(i32, i32); 3], y: i32, sign: f64) -> [Self; 3] {
-        [Self::new(a, b, y, sign), Self::new(b, c, y, sign), Self::new(c, a, y, sign)]
-    }
-
-    /// The crossing with the row that many rows below the first.
-    #[inline(always)]
-    #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
-    fn crossing(&self, row: f64) -> f64 {
-        self.at_first + row * self.step + ROUND - ROUND
+    fn crossing(self, row: f64) -> f64 {
+        self.at_first + row * self.step
     }
 }
 
-/// A whole number as an integer between -1 and `limit`: its last bits, once it is large enough to have no
-/// others.
+/// The edges of a triangle: one on the one side and two on the other. Of horizontal ones the triangle's bounds are limit enough.
+#[derive(Clone, Copy)]
+struct Edges {
+    lone: Line,
+    pair: [Line; 2],
+    pair_is_left: bool,
+}
+
+impl Edges {
+    /// As seen from row `y` on; `sign` is that of the triangle's area.
+    #[inline(always)]
+    #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+    fn new([a, b, c]: [(i32, i32); 3], y: i32, sign: f64) -> Self {
+        let is_left = |a: (i32, i32), b: (i32, i32)| {
+            let (from, to) = if sign > 0.0 { (a.1, b.1) } else { (b.1, a.1) };
+            u8::from(to <= from)
+        };
+        // from the edge on that is alone on its side; neither side has all of them
+        let left = is_left(a, b) | is_left(b, c) << 1 | is_left(c, a) << 2;
+        let [a, b, c] = match left {
+            0b010 | 0b101 => [b, c, a],
+            0b100 | 0b011 => [c, a, b],
+            _ => [a, b, c],
+        };
+        Self {
+            lone: Line::new(a, b, y),
+            pair: [Line::new(b, c, y), Line::new(c, a, y)],
+            pair_is_left: left.count_ones() == 2,
+        }
+    }
+
+    /// What the row that many rows below the first rounds to begin and end at.
+    #[inline(always)]
+    #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+    fn ends<const PAIR_IS_LEFT: bool>(&self, row: f64) -> (f64, f64) {
+        let (lone, [a, b]) = (self.lone.crossing(row), self.pair.map(|line| line.crossing(row)));
+        if PAIR_IS_LEFT { (if a > b { a } else { b }, lone) } else { (lone, if a < b { a } else { b }) }
+    }
+}
+
+/// A number rounded to an integer between the columns, which are so.
 #[inline(always)]
 #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
 #[expect(clippy::cast_possible_truncation, reason = "the last bits are wanted")]
-fn column(x: f64, limit: f64) -> i32 {
-    let x = if x < limit { x } else { limit };
-    let x = if x > -1.0 { x } else { -1.0 };
+fn column(x: f64, (x0, x1): (f64, f64)) -> i32 {
+    let x = if x > x0 { x } else { x0 };
+    let x = if x < x1 { x } else { x1 };
     (x + ROUND).to_bits() as i32
 }
 
-/// Where the lines of a triangle's edges let its rows begin and end, between columns `x0` and `x1`, from the row on that
-/// is `first` below the edges' first.
-///
+/// Where the lines of a triangle's edges let its rows begin and end, between two columns, from the row on that is `first` below
+/// the edges' first.
+#[inline(always)]
+#[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+fn row_ends(edges: &Edges, first: i32, columns: (f64, f64), from: &mut [i32], to: &mut [i32]) {
+    if edges.pair_is_left {
+        row_ends_of::<true>(edges, first, columns, from, to);
+    } else {
+        row_ends_of::<false>(edges, first, columns, from, to);
+    }
+}
+
 /// A plain loop over a number of rows that is not known before: of one over eight, a compiler makes scalars.
 #[inline(always)]
 #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
-fn row_ends(edges: [Edge; 3], first: i32, (x0, x1): (f64, f64), from: &mut [i32], to: &mut [i32]) {
+fn row_ends_of<const PAIR_IS_LEFT: bool>(
+    edges: &Edges,
+    first: i32,
+    columns: (f64, f64),
+    from: &mut [i32],
+    to: &mut [i32],
+) {
     for ((from, to), row) in from.iter_mut().zip(to).zip(first..) {
-        let (mut left, mut right) = (x0, x1);
-        for edge in edges {
-            let column = edge.crossing(f64::from(row));
-            let (on_left, on_right) = (column + edge.on_left, column + edge.on_right);
-            left = if on_left > left { on_left } else { left };
-            right = if on_right < right { on_right } else { right };
-        }
-        *from = column(left, x1);
-        *to = column(right, x1);
+        let (left, right) = edges.ends::<PAIR_IS_LEFT>(f64::from(row));
+        *from = column(left, columns);
+        *to = column(right, columns);
     }
 }
 
 /// Where the rows of `bounds` begin and end in a triangle, of which there are no more than room for them; an end that
-/// is before its beginning is that of an empty row. The number of rows.
+/// is not behind its beginning is that of an empty row. The number of rows.
 #[inline(always)]
 #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
 pub fn ends_of_rows<const N: usize>(
@@ -134,10 +170,10 @@ pub fn ends_of_rows<const N: usize>(
     from: &mut [i32; N],
     to: &mut [i32; N],
 ) -> usize {
-    let edges = Edge::all(points, bounds.y0, sign);
+    let edges = Edges::new(points, bounds.y0, sign);
     let whole = bounds.height().next_multiple_of(LANES);
-    let limits = (f64::from(bounds.x0), f64::from(bounds.x1));
-    row_ends(edges, 0, limits, &mut from[..whole], &mut to[..whole]);
+    let columns = (f64::from(bounds.x0), f64::from(bounds.x1));
+    row_ends(&edges, 0, columns, &mut from[..whole], &mut to[..whole]);
     bounds.height()
 }
 
@@ -155,8 +191,8 @@ pub fn triangle_runs(
     bounds: &Rect,
     runs: &mut Vec<Run>,
 ) -> usize {
-    let edges = Edge::all(points, bounds.y0, sign);
-    let limits = (f64::from(bounds.x0), f64::from(bounds.x1));
+    let edges = Edges::new(points, bounds.y0, sign);
+    let columns = (f64::from(bounds.x0), f64::from(bounds.x1));
     let width = rect.x1 - rect.x0;
     let mut start = (bounds.y0 - rect.y0) * width - rect.x0;
     let (mut from, mut to) = ([0; ROWS], [0; ROWS]);
@@ -165,7 +201,7 @@ pub fn triangle_runs(
     while y < bounds.y1 {
         let rows = ((bounds.y1 - y).cast_unsigned() as usize).min(ROWS);
         let whole = rows.next_multiple_of(LANES);
-        row_ends(edges, y - bounds.y0, limits, &mut from[..whole], &mut to[..whole]);
+        row_ends(&edges, y - bounds.y0, columns, &mut from[..whole], &mut to[..whole]);
         for (&left, &right) in from[..rows].iter().zip(&to[..rows]) {
             if right > left {
                 let len = (right - left).cast_unsigned();
@@ -182,12 +218,11 @@ pub fn triangle_runs(
 /// Whether a triangle covers all pixels of `rect`, which is no larger than its bounds: edges are straight, so that
 /// the first and the last row tell.
 pub fn covers_all(points: [(i32, i32); 3], sign: f64, rect: &Rect) -> bool {
-    let last = f64::from(rect.y1 - 1 - rect.y0);
-    let (x0, x1) = (f64::from(rect.x0), f64::from(rect.x1));
-    Edge::all(points, rect.y0, sign).into_iter().all(|edge| {
-        [edge.crossing(0.0), edge.crossing(last)]
-            .into_iter()
-            .all(|x| x + edge.on_left <= x0 && x + edge.on_right >= x1)
+    let edges = Edges::new(points, rect.y0, sign);
+    [0, rect.y1 - 1 - rect.y0].into_iter().all(|row| {
+        let (mut from, mut to) = ([0], [0]);
+        row_ends(&edges, row, (f64::from(rect.x0), f64::from(rect.x1)), &mut from, &mut to);
+        (from, to) == ([rect.x0], [rect.x1])
     })
 }
 
