@@ -6,7 +6,7 @@ use super::cover::{Rect, spans};
 use super::interpolate::{LANES, Plane, Ray, Surface};
 use super::occlusion::Opaque;
 use super::pixels::{FEW, Pixels, Where};
-use super::runs::{Run, covers_all, triangle_runs};
+use super::runs::{Run, triangle_runs};
 use super::setup::{Chunk, Primitive, pixel_bounds};
 use super::shade::{Paint, Shade};
 use super::visit::{Order, Visits};
@@ -239,12 +239,11 @@ impl Tile {
                 if few.list_triangle(points, sign, &bounds) {
                     return few.places().len();
                 }
-                let sign = f64::from(sign);
-                if bounds == rect && covers_all(points, sign, &rect) {
+                let Some(pixels) = triangle_runs(points, sign.into(), &rect, &bounds, runs) else {
                     runs.extend_from_slice(&self.full_runs);
                     return rect.area();
-                }
-                triangle_runs(points, sign, &rect, &bounds, runs)
+                };
+                pixels
             }
             Primitive::Polygon(polygon) => {
                 let mut pixels = 0;

@@ -25,7 +25,7 @@ pub use cells::{Cells, RowOfCells};
 use deferred::Deferred;
 use kernels::{
     Places, add_constant, add_constant_to_few, add_few, add_flat, add_weighted, attenuate, blend_few,
-    blend_flat,
+    blend_flat, clear,
 };
 use pending::Pending;
 use std::ops::Range;
@@ -129,9 +129,9 @@ impl Sums {
         let fresh = self.cleared.take_eighths(self.touched);
         for (rows, _) in fresh.stretches(rect.height()).filter(|(_, are_fresh)| *are_fresh) {
             let places = rows.start * rect.width()..rows.end * rect.width();
-            self.transmittance[places.clone()].fill(1.0);
-            self.counts[places.clone()].fill(0);
-            self.weighted.iter_mut().for_each(|sums| sums[places.clone()].fill([0.0; 4]));
+            clear(&mut self.transmittance[places.clone()], 1.0);
+            clear(&mut self.counts[places.clone()], 0);
+            self.weighted.iter_mut().for_each(|sums| clear(sums[places.clone()].as_flattened_mut(), 0.0));
         }
     }
 

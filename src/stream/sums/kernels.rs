@@ -14,6 +14,12 @@ pub struct Places<'a> {
 
 const CHANNELS: usize = 4;
 
+/// Begins sums with what they are without fragments.
+#[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
+pub fn clear<T: Copy>(sums: &mut [T], nothing: T) {
+    sums.fill(nothing);
+}
+
 /// Attenuates the background, counts the fragments, and adds the weights times one finite colour, in one go.
 ///
 /// Runs are blended in groups of [`LANES`] that begin at multiples of it, where vectors lie in one cache line each: there is room for
