@@ -30,7 +30,7 @@ use kernels::{
 use pending::Pending;
 use std::ops::Range;
 use std::time::Instant;
-use weigh::{Roomy, Same, constant_term, weigh_flat, weigh_shaded};
+use weigh::{Roomy, constant_term, weigh_flat, weigh_shaded};
 
 /// The sums of all blended variants over a tile.
 #[derive(Default)]
@@ -48,8 +48,6 @@ pub struct TileSums<'a> {
     /// The colours of the primitive at hand, if it has several.
     colors: Vec<Premultiplied>,
     alpha: Vec<f32>,
-    /// Its alpha, if it has but one.
-    same_alpha: Same,
     depth: Vec<f32>,
     /// The weights of its pixels, if it has but one colour ...
     flat_weights: Roomy,
@@ -390,7 +388,7 @@ impl TileSums<'_> {
         }
         let start = stopwatch.start();
         let weights = &mut self.flat_weights;
-        weigh_flat(weighting, cover, color[3], &mut self.same_alpha, weights);
+        weigh_flat(weighting, cover, color[3], weights);
         let Sums { weighted, transmittance, counts, .. } = &mut self.sums;
         let sums = &mut weighted[0];
         match cover.at {
@@ -415,14 +413,13 @@ impl TileSums<'_> {
             Some([.., alpha]) => self.attenuate_flat(cover, alpha),
             None => self.attenuate_shaded(cover),
         }
-        let Self { weights, sums, colors, alpha, same_alpha, flat_weights, weight: numbers, depth, .. } =
-            self;
+        let Self { weights, sums, colors, alpha, flat_weights, weight: numbers, depth, .. } = self;
         let left = weights.iter_mut().zip(&mut sums.weighted).skip(usize::from(fused));
         for (Weight { weighting, stopwatch, .. }, sums) in left.filter(|(weight, _)| !weight.is_own()) {
             let start = stopwatch.start();
             match (flat, *weighting, cover.constant_depth) {
                 (Some(color), Some(weighting), None) => {
-                    weigh_flat(weighting, cover, color[3], same_alpha, flat_weights);
+                    weigh_flat(weighting, cover, color[3], flat_weights);
                     let numbers = flat_weights.numbers();
                     match cover.at {
                         Where::Few(pixels) => add_few(pixels.places(), numbers, color, sums),

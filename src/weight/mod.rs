@@ -111,14 +111,14 @@ const LANES: usize = 8;
 /// as one, too.
 #[inline(always)]
 #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
-fn fill(at: &Fragments<'_>, weights: &mut [f32], w: impl Fn(f32, f32) -> f32) {
+fn fill(at: &Fragments<'_, impl Alphas>, weights: &mut [f32], w: impl Fn(f32, f32) -> f32) {
     fill_within(at, weights, |z, a| bounded(w(at.seen.see(z), a)));
 }
 
 /// The same for weights that are no larger than [`WEIGHT_BOUNDS`] allow, and faster where depths are seen as they are.
 #[inline(always)]
 #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
-fn fill_below_ceiling(at: &Fragments<'_>, weights: &mut [f32], w: impl Fn(f32, f32) -> f32) {
+fn fill_below_ceiling(at: &Fragments<'_, impl Alphas>, weights: &mut [f32], w: impl Fn(f32, f32) -> f32) {
     if at.seen.is_depth() {
         fill_within(at, weights, |z, a| not_less(w(not_less(z, MIN_DEPTH), a), WEIGHT_BOUNDS.0));
     } else {
@@ -129,7 +129,7 @@ fn fill_below_ceiling(at: &Fragments<'_>, weights: &mut [f32], w: impl Fn(f32, f
 /// The same for weights that have their bounds, of depths as they are.
 #[inline(always)]
 #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
-fn fill_within(at: &Fragments<'_>, weights: &mut [f32], w: impl Fn(f32, f32) -> f32) {
+fn fill_within(at: &Fragments<'_, impl Alphas>, weights: &mut [f32], w: impl Fn(f32, f32) -> f32) {
     let rest = fill_blocks::<MANY>(at, weights, &w);
     let (at, weights) = (at.from(rest), &mut weights[rest..]);
     let rest = fill_blocks::<LANES>(&at, weights, &w);
@@ -137,7 +137,7 @@ fn fill_within(at: &Fragments<'_>, weights: &mut [f32], w: impl Fn(f32, f32) -> 
     if !at.depth.is_empty() {
         let (mut z, mut a, mut all) = ([1.0; LANES], [1.0; LANES], [0.0; LANES]);
         z[..at.depth.len()].copy_from_slice(at.depth);
-        a[..at.depth.len()].copy_from_slice(at.alpha);
+        at.alpha.write(&mut a[..at.depth.len()]);
         fill_lanes(&z, &a, &mut all, &w);
         weights.copy_from_slice(&all[..weights.len()]);
     }
@@ -147,13 +147,13 @@ fn fill_within(at: &Fragments<'_>, weights: &mut [f32], w: impl Fn(f32, f32) -> 
 #[inline(always)]
 #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
 fn fill_blocks<const N: usize>(
-    at: &Fragments<'_>,
+    at: &Fragments<'_, impl Alphas>,
     weights: &mut [f32],
     w: &impl Fn(f32, f32) -> f32,
 ) -> usize {
-    let (depth, alpha) = (at.depth.as_chunks::<N>().0, at.alpha.as_chunks::<N>().0);
-    for ((weights, z), a) in weights.as_chunks_mut::<N>().0.iter_mut().zip(depth).zip(alpha) {
-        fill_lanes(z, a, weights, w);
+    let depth = at.depth.as_chunks::<N>().0;
+    for ((weights, z), a) in weights.as_chunks_mut::<N>().0.iter_mut().zip(depth).zip(at.alpha.chunks()) {
+        fill_lanes(z, &a, weights, w);
     }
     N * depth.len()
 }
@@ -174,18 +174,61 @@ fn fill_lanes<const N: usize>(
 }
 
 /// What is to be weighed.
-struct Fragments<'a> {
+struct Fragments<'a, A> {
     seen: Seen,
     depth: &'a [f32],
-    alpha: &'a [f32],
+    alpha: A,
 }
 
-impl Fragments<'_> {
+impl<A: Alphas> Fragments<'_, A> {
     /// Those from the i-th on.
     #[inline(always)]
     #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
     fn from(&self, i: usize) -> Self {
-        Self { depth: &self.depth[i..], alpha: &self.alpha[i..], ..*self }
+        Self { depth: &self.depth[i..], alpha: self.alpha.after(i), ..*self }
+    }
+}
+
+/// The alphas of fragments.
+trait Alphas: Copy {
+    /// Those from the i-th on.
+    fn after(self, i: usize) -> Self;
+    /// So many at a time, as many times as there are whole chunks at least.
+    fn chunks<const N: usize>(self) -> impl Iterator<Item = [f32; N]>;
+    /// The first ones.
+    fn write(self, to: &mut [f32]);
+}
+
+#[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+impl Alphas for &[f32] {
+    #[inline(always)]
+    fn after(self, i: usize) -> Self {
+        &self[i..]
+    }
+    #[inline(always)]
+    fn chunks<const N: usize>(self) -> impl Iterator<Item = [f32; N]> {
+        self.as_chunks().0.iter().copied()
+    }
+    #[inline(always)]
+    fn write(self, to: &mut [f32]) {
+        to.copy_from_slice(self);
+    }
+}
+
+/// All have the same.
+#[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+impl Alphas for f32 {
+    #[inline(always)]
+    fn after(self, _: usize) -> Self {
+        self
+    }
+    #[inline(always)]
+    fn chunks<const N: usize>(self) -> impl Iterator<Item = [f32; N]> {
+        std::iter::repeat([self; N])
+    }
+    #[inline(always)]
+    fn write(self, to: &mut [f32]) {
+        to.fill(self);
     }
 }
 
@@ -207,7 +250,7 @@ fn not_less(x: f32, least: f32) -> f32 {
 /// `z^-k`; by multiplication where k is a small whole number, which is faster and as exact.
 #[inline(always)]
 #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
-fn inverse_power(at: &Fragments<'_>, weights: &mut [f32], k: f32) {
+fn inverse_power(at: &Fragments<'_, impl Alphas>, weights: &mut [f32], k: f32) {
     let square = |x: f32| x * x;
     match k {
         1.0 => fill(at, weights, |z, _| z.recip()),
@@ -216,17 +259,17 @@ fn inverse_power(at: &Fragments<'_>, weights: &mut [f32], k: f32) {
         4.0 => fill(at, weights, |z, _| square(square(z.recip()))),
         5.0 => fill(at, weights, |z, _| square(square(z.recip())) * z.recip()),
         6.0 => fill(at, weights, |z, _| square(square(z.recip()) * z.recip())),
-        _ => any_inverse_power(at, weights, k),
+        _ => any_inverse_power(at.seen, at.depth, weights, k),
     }
 }
 
 /// `z^-k` for any k: a plain loop of its own, which becomes one of whole vectors.
 #[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
 #[expect(clippy::cast_possible_truncation, reason = "weights are evaluated in f32")]
-fn any_inverse_power(at: &Fragments<'_>, weights: &mut [f32], k: f32) {
+fn any_inverse_power(seen: Seen, depth: &[f32], weights: &mut [f32], k: f32) {
     let k = f64::from(k);
-    for (weight, &z) in weights.iter_mut().zip(at.depth) {
-        let seen = f64::from(at.seen.see(z));
+    for (weight, &z) in weights.iter_mut().zip(depth) {
+        let seen = f64::from(seen.see(z));
         // what the clamp changes is beyond the bounds of weights, too
         *weight = bounded(exp((-k * ln(seen)).clamp(-100.0, 100.0)) as f32);
     }
@@ -255,7 +298,7 @@ impl Formula {
 
     #[inline(always)]
     #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
-    fn weigh(&self, at: &Fragments<'_>, weights: &mut [f32]) {
+    fn weigh(&self, at: &Fragments<'_, impl Alphas>, weights: &mut [f32]) {
         let square = |x: f32| x * x;
         let cube = |x: f32| x * x * x;
         let mb = |x: f32| x.clamp(1e-2, 3e3);
@@ -390,13 +433,13 @@ impl Weighting {
         }
     }
 
-    /// [`Weighting::evaluate`] of a published weight for the caller's instruction set.
+    /// [`Weighting::evaluate`] of a published weight, of fragments of one alpha, for the caller's instruction set.
     ///
     /// # Panics
     /// If the weight is somebody's own.
     #[inline(always)]
     #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
-    pub fn evaluate_here(&self, depth: &[f32], alpha: &[f32], weights: &mut [f32]) {
+    pub fn evaluate_here(&self, depth: &[f32], alpha: f32, weights: &mut [f32]) {
         match &self.function {
             Function::Published(formula) => {
                 formula.weigh(&Fragments { seen: self.seen, depth, alpha }, weights);
@@ -446,7 +489,7 @@ impl Weighting {
 }
 
 #[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
-fn weigh_published(formula: &Formula, fragments: &Fragments<'_>, weights: &mut [f32]) {
+fn weigh_published(formula: &Formula, fragments: &Fragments<'_, &[f32]>, weights: &mut [f32]) {
     formula.weigh(fragments, weights);
 }
 

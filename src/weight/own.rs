@@ -43,7 +43,12 @@ impl Own {
     }
 
     /// Writes the weights of all fragments, within their bounds, and counts those that are none.
-    pub(super) fn weigh(&self, at: &Fragments<'_>, weights: &mut [f32], times: impl Fn(usize) -> u64) -> u64 {
+    pub(super) fn weigh(
+        &self,
+        at: &Fragments<'_, &[f32]>,
+        weights: &mut [f32],
+        times: impl Fn(usize) -> u64,
+    ) -> u64 {
         let is_known = match &self.function {
             OwnFunction::Written(_) => self.weigh_written(at, weights),
             OwnFunction::Called(_) => {
@@ -56,7 +61,7 @@ impl Own {
         repair(weights, times)
     }
 
-    fn weigh_written(&self, at: &Fragments<'_>, weights: &mut [f32]) -> bool {
+    fn weigh_written(&self, at: &Fragments<'_, &[f32]>, weights: &mut [f32]) -> bool {
         let (mut z, mut d) = ([0.0; CHUNK], [0.0; CHUNK]);
         let chunks = at.depth.chunks(CHUNK).zip(at.alpha.chunks(CHUNK)).zip(weights.chunks_mut(CHUNK));
         for ((depth, alpha), weights) in chunks {

@@ -9,7 +9,7 @@ use crate::weight::Weighting;
 pub fn constant_term(weighting: Option<&Weighting>, depth: Option<f32>, color: Premultiplied) -> [f32; 4] {
     let (Some(weighting), Some(depth)) = (weighting, depth) else { return color };
     let mut weight = [0.0];
-    weighting.evaluate_here(&[depth], &[color[3]], &mut weight);
+    weighting.evaluate_here(&[depth], color[3], &mut weight);
     color.map(|channel| weight[0] * channel)
 }
 
@@ -17,15 +17,9 @@ pub fn constant_term(weighting: Option<&Weighting>, depth: Option<f32>, color: P
 /// ends, and there are depths enough.
 #[inline(always)]
 #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
-pub fn weigh_flat(
-    weighting: &Weighting,
-    cover: &Cover<'_, '_>,
-    alpha: f32,
-    alphas: &mut Same,
-    weights: &mut Roomy,
-) {
+pub fn weigh_flat(weighting: &Weighting, cover: &Cover<'_, '_>, alpha: f32, weights: &mut Roomy) {
     let len = cover.pixels.next_multiple_of(LANES);
-    weighting.evaluate_here(&cover.depth[..len], alphas.times(alpha, len), weights.resized(len));
+    weighting.evaluate_here(&cover.depth[..len], alpha, weights.resized(len));
 }
 
 /// Numbers with room for [`LANES`] more before the first and behind the last, whatever is in it.
@@ -53,22 +47,6 @@ impl Roomy {
     #[inline]
     pub fn with_room(&self) -> &[f32] {
         &self.0
-    }
-}
-
-/// One number many times; the next primitive often needs the same again.
-#[derive(Default)]
-pub struct Same(Vec<f32>);
-
-impl Same {
-    #[inline]
-    fn times(&mut self, number: f32, len: usize) -> &[f32] {
-        let Self(numbers) = self;
-        if numbers.len() < len || numbers[0].to_bits() != number.to_bits() {
-            // no longer than it has to be, however long it was: small primitives follow large ones
-            refill(numbers, len, number);
-        }
-        &numbers[..len]
     }
 }
 
