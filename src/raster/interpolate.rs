@@ -72,7 +72,6 @@ pub struct Plane {
     area: f64,
     /// 1/z of the corners in perspective, z otherwise.
     values: [f64; 3],
-    slope: Option<Slope>,
     perspective: bool,
     range: (f64, f64),
 }
@@ -91,7 +90,7 @@ struct Slope {
 }
 
 /// Triangles have a slope whose width times height is that of so many pixels.
-const LARGE: f64 = (32 * 32 * SUBPIXELS * SUBPIXELS) as f64;
+const LARGE: f64 = (64 * 64 * SUBPIXELS * SUBPIXELS) as f64;
 /// How much larger than the sum the slope's terms may be. A handful of them are rounded to 2^-53 of themselves: 2^-33 of the sum at
 /// most, where a depth is rounded to 2^-24.
 const CANCELLATION: f64 = 65_536.0;
@@ -108,19 +107,26 @@ impl Plane {
         let range = (z[0].min(z[1]).min(z[2]), z[0].max(z[1]).max(z[2]));
         // written out: a function's name would be called, and not for the instruction set at hand
         let values = if perspective { [1.0 / z[0], 1.0 / z[1], 1.0 / z[2]] } else { z };
-        let extents = (to_1.0.abs() + to_2.0.abs()) * (to_1.1.abs() + to_2.1.abs());
-        // the largest value over the least is the farthest depth over the nearest
-        let has_slope = extents > LARGE && extents * range.1 < CANCELLATION * area.abs() * range.0;
-        let slope = has_slope.then(|| {
-            let (rise_1, rise_2) = (values[1] - values[0], values[2] - values[0]);
-            let gain = (to_2.1 * rise_1 - to_1.1 * rise_2, to_1.0 * rise_2 - to_2.0 * rise_1);
-            Slope { at_origin: area * values[0], gain }
-        });
-        Self { origin: (v[0].x, v[0].y), to_1, to_2, area, values, slope, perspective, range }
+        Self { origin: (v[0].x, v[0].y), to_1, to_2, area, values, perspective, range }
     }
 }
 
 impl Plane {
+    /// The slope of a large triangle that is no sliver. Not kept: to carry it along would cost the others more than it saves.
+    #[inline(always)]
+    #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
+    fn slope(&self) -> Option<Slope> {
+        let (to_1, to_2, [first, second, third]) = (self.to_1, self.to_2, self.values);
+        let extents = (to_1.0.abs() + to_2.0.abs()) * (to_1.1.abs() + to_2.1.abs());
+        // the largest value over the least is the farthest depth over the nearest
+        let (near, far) = self.range;
+        (extents > LARGE && extents * far < CANCELLATION * self.area.abs() * near).then(|| {
+            let (rise_1, rise_2) = (second - first, third - first);
+            let gain = (to_2.1 * rise_1 - to_1.1 * rise_2, to_1.0 * rise_2 - to_2.0 * rise_1);
+            Slope { at_origin: self.area * first, gain }
+        })
+    }
+
     /// Which way round the corners go: 1 clockwise on the screen, -1 counter-clockwise.
     pub fn sign(&self) -> f64 {
         self.area.signum()
@@ -132,7 +138,7 @@ impl Plane {
         let dx = f64::from(x * SUBPIXELS + CENTER - self.origin.0);
         let dy = f64::from(y * SUBPIXELS + CENTER - self.origin.1);
         let edges @ [l0, l1, l2] = self.edges(dx, dy);
-        let sum = match self.slope {
+        let sum = match self.slope() {
             Some(slope) => slope.sum(slope.row(dy), dx),
             None => self.sum(edges),
         };
@@ -214,7 +220,7 @@ impl Plane {
             (dx, dy)
         });
         // loops that need not choose
-        if let Some(slope) = self.slope {
+        if let Some(slope) = self.slope() {
             for (depth, (dx, dy)) in depth.iter_mut().zip(pixels) {
                 *depth = self.depth(slope.sum(slope.row(dy), dx)) as f32;
             }
@@ -230,13 +236,14 @@ impl Plane {
     #[inline(always)]
     #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
     fn depths(&self, runs: &[Run], depth: &mut [f32]) {
+        let slope = self.slope();
         let mut next = 0;
         for run in runs {
             // whole vectors, the ends of which the next run writes over
             let end = next + run.len as usize;
             let whole = &mut depth[next..next + (end - next).next_multiple_of(LANES)];
             for (x, depth) in (run.x..).step_by(STEPS).zip(whole.chunks_mut(STEPS)) {
-                self.depths_from(x, run.y, depth);
+                self.depths_from(x, run.y, slope, depth);
             }
             next = end;
         }
@@ -252,10 +259,10 @@ impl Plane {
     #[inline(always)]
     #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
     #[expect(clippy::cast_possible_truncation, reason = "fragments store depth as f32")]
-    fn depths_from(&self, x: i32, y: i32, depth: &mut [f32]) {
+    fn depths_from(&self, x: i32, y: i32, slope: Option<Slope>, depth: &mut [f32]) {
         let first = f64::from(x * SUBPIXELS + CENTER - self.origin.0);
         let dy = f64::from(y * SUBPIXELS + CENTER - self.origin.1);
-        if let Some(slope) = self.slope {
+        if let Some(slope) = slope {
             let row = slope.row(dy);
             for (depth, step) in depth.iter_mut().zip(SUBPIXELS_TO) {
                 *depth = self.depth(slope.sum(row, first + step)) as f32;
@@ -444,7 +451,7 @@ mod tests {
                 if plane.area == 0.0 {
                     continue;
                 }
-                let Some(slope) = plane.slope else {
+                let Some(slope) = plane.slope() else {
                     slivers += 1;
                     continue;
                 };
