@@ -237,12 +237,20 @@ impl<'a> Job<'a> {
         let bands = target.bands(tile_size).into_par_iter().enumerate().map(|(row, band)| {
             let pieces = self.pieces(raster, row);
             let rects = pieces.iter().map(|piece| piece.rect(raster, row));
-            let draw = |worker: &mut Lent<'_, _, _>, (piece, mut patch): (&Piece, Patch<'_, S>)| match piece {
-                Piece::Tile(column) => self.tile(raster, (*column, row), &mut patch, worker.get()),
-                Piece::Empty(columns) => Ok(self.clear(raster, columns.len(), &mut patch)),
-            };
-            let patches = pieces.par_iter().zip(band.pieces(rects));
-            patches.map_init(|| workers.lend(), draw).try_reduce(nothing, both)
+            // a working memory and a tally for a run of pieces that one thread draws
+            let begin = || (workers.lend(), nothing());
+            let runs =
+                pieces.par_iter().zip(band.pieces(rects)).try_fold(begin, |(mut worker, mut tally), at| {
+                    let (piece, mut patch): (&Piece, Patch<'_, S>) = at;
+                    match piece {
+                        Piece::Tile(column) => {
+                            self.tile(raster, (*column, row), &mut patch, worker.get(), &mut tally)?;
+                        }
+                        Piece::Empty(columns) => Self::clear(raster, columns.len(), &mut patch, &mut tally),
+                    }
+                    Ok((worker, tally))
+                });
+            runs.map(|run| run.map(|(_, tally)| tally)).try_reduce(nothing, both)
         });
         let tally = bands.try_reduce(nothing, both)?;
         if (self.stop)() { Err(Error::Cancelled) } else { Ok(Finished { target, tally }) }

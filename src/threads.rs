@@ -98,7 +98,8 @@ fn can_share() -> bool {
 
 /// Working memories that threads lend each other, no more than were ever needed at a time.
 pub struct Workers<T, N> {
-    idle: Mutex<Vec<T>>,
+    /// Boxed, since they are handed from task to task.
+    idle: Mutex<Vec<Box<T>>>,
     new: N,
 }
 
@@ -117,7 +118,7 @@ impl<T, N: Fn() -> T> Workers<T, N> {
 /// A working memory that goes back when it is dropped.
 pub struct Lent<'a, T, N> {
     from: &'a Workers<T, N>,
-    worker: Option<T>,
+    worker: Option<Box<T>>,
 }
 
 impl<T, N: Fn() -> T> Lent<'_, T, N> {
@@ -125,7 +126,7 @@ impl<T, N: Fn() -> T> Lent<'_, T, N> {
     pub fn get(&mut self) -> &mut T {
         let Self { from, worker } = self;
         let idle = || from.idle.lock().map_or(None, |mut idle| idle.pop());
-        worker.get_or_insert_with(|| idle().unwrap_or_else(&from.new))
+        worker.get_or_insert_with(|| idle().unwrap_or_else(|| Box::new((from.new)())))
     }
 }
 

@@ -66,19 +66,21 @@ impl<S: Sample> Target<S> {
         for &end in ends {
             #[expect(clippy::cast_possible_truncation, clippy::cast_possible_wrap, reason = "a run is short")]
             let rect = Rect { x0: 0, y0: 0, x1: (end - first) as i32, y1: 1 };
-            patches.push((first, Patch { rect, images: Vec::new() }));
+            patches.push((first, Patch { rect, rows: Vec::with_capacity(self.images.len()) }));
             first = end;
         }
         for image in &mut self.images {
             let (mut color, mut transmittance) = (&mut image.color[..], &mut image.transmittance[..]);
             for (_, patch) in &mut patches {
                 let pixels = patch.rect.width();
-                let mut part = PatchImage::new(image.channels, 1);
                 let (color_head, color_tail) = color.split_at_mut(3 * pixels);
                 let (share_head, share_tail) = transmittance.split_at_mut(image.channels * pixels);
-                part.rows.push(Row { color: color_head, transmittance: share_head });
+                patch.rows.push(Row {
+                    color: color_head,
+                    transmittance: share_head,
+                    channels: image.channels,
+                });
                 (color, transmittance) = (color_tail, share_tail);
-                patch.images.push(part);
             }
         }
         patches
@@ -112,19 +114,16 @@ impl<'a, S: Sample> Band<'a, S> {
     /// The band cut into pieces from left to right, which are these.
     pub fn pieces(self, rects: impl Iterator<Item = Rect>) -> Vec<Patch<'a, S>> {
         let (width, images) = (self.width, self.images.len());
-        let mut patches: Vec<_> =
-            rects.map(|rect| Patch { rect, images: Vec::with_capacity(images) }).collect();
-        for (v, BandImage { color, transmittance, channels }) in self.images.into_iter().enumerate() {
-            for patch in &mut patches {
-                patch.images.push(PatchImage::new(channels, patch.rect.height()));
-            }
+        let patch = |rect: Rect| Patch { rect, rows: Vec::with_capacity(images * rect.height()) };
+        let mut patches: Vec<_> = rects.map(patch).collect();
+        for BandImage { color, transmittance, channels } in self.images {
             let rows = color.chunks_mut(3 * width).zip(transmittance.chunks_mut(channels * width));
             for (mut color, mut transmittance) in rows {
-                for patch in &mut patches {
-                    let columns = patch.rect.width();
+                for Patch { rect, rows } in &mut patches {
+                    let columns = rect.width();
                     let (color_here, color_right) = color.split_at_mut(3 * columns);
                     let (share_here, share_right) = transmittance.split_at_mut(channels * columns);
-                    patch.images[v].rows.push(Row { color: color_here, transmittance: share_here });
+                    rows.push(Row { color: color_here, transmittance: share_here, channels });
                     (color, transmittance) = (color_right, share_right);
                 }
             }
@@ -136,25 +135,15 @@ impl<'a, S: Sample> Band<'a, S> {
 /// A rectangle of all images, to be written by one thread.
 pub struct Patch<'a, S> {
     rect: Rect,
-    images: Vec<PatchImage<'a, S>>,
-}
-
-/// The rows of one image.
-struct PatchImage<'a, S> {
+    /// Those of the first image, then those of the next.
     rows: Vec<Row<'a, S>>,
-    channels: usize,
 }
 
 /// Neighbouring pixels.
 struct Row<'a, S> {
     color: &'a mut [S],
     transmittance: &'a mut [S],
-}
-
-impl<S> PatchImage<'_, S> {
-    fn new(channels: usize, rows: usize) -> Self {
-        Self { rows: Vec::with_capacity(rows), channels }
-    }
+    channels: usize,
 }
 
 impl<S: Sample> Patch<'_, S> {
@@ -187,7 +176,6 @@ impl<S: Sample> Patch<'_, S> {
     /// Stores one pixel of variant `v` in all places of a cell of the part `rect`, for each of its cells. As above, the
     /// background has one share in all channels.
     pub fn fill(&mut self, v: usize, rect: &Rect, cells: &Cells, pixels: &FinishedPixels) {
-        debug_assert_eq!(self.images[v].channels, 1);
         let mut rows = cells.rows();
         let mut buffer = RowBuffer::default();
         let store = |colors: &mut [[S; 3]], shares: &mut [S], _, now: Range<usize>| {
@@ -215,7 +203,8 @@ impl<S: Sample> Patch<'_, S> {
         pixels: usize,
         mut store: impl FnMut(&mut [[S; 3]], &mut [S], usize, Range<usize>),
     ) {
-        let PatchImage { rows, channels } = &mut self.images[v];
+        let height = self.rect.height();
+        let rows = &mut self.rows[v * height..(v + 1) * height];
         #[expect(clippy::cast_sign_loss, reason = "the part lies in the patch")]
         let (left, top) = ((rect.x0 - self.rect.x0) as usize, (rect.y0 - self.rect.y0) as usize);
         let (mut row, mut column) = (first / rect.width(), first % rect.width());
@@ -223,7 +212,7 @@ impl<S: Sample> Patch<'_, S> {
         while next < pixels {
             let now = next..pixels.min(next + rect.width() - column);
             let (from, to) = (left + column, left + column + now.len());
-            let Row { color, transmittance } = &mut rows[top + row];
+            let Row { color, transmittance, channels } = &mut rows[top + row];
             let colors = color[3 * from..3 * to].as_chunks_mut::<3>().0;
             let shares = &mut transmittance[*channels * from..*channels * to];
             (row, column, next) = (row + 1, 0, now.end);
@@ -242,7 +231,7 @@ impl<S: Sample> Patch<'_, S> {
     /// Fills everything with the background.
     pub fn clear(&mut self, background: [f32; 3]) {
         let [r, g, b] = background.map(|channel| S::from_f64(channel.into()));
-        for row in self.images.iter_mut().flat_map(|image| &mut image.rows) {
+        for row in &mut self.rows {
             clear_row([r, g, b, S::from_f64(1.0)], row.color, row.transmittance);
         }
     }

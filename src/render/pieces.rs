@@ -30,17 +30,14 @@ impl Piece {
 impl Job<'_> {
     /// So many tiles without anything to draw.
     pub(super) fn clear<S: Sample>(
-        &self,
         raster: &Raster<'_>,
         tiles: usize,
         patch: &mut Patch<'_, S>,
-    ) -> Tally {
+        tally: &mut Tally,
+    ) {
         patch.clear(raster.background());
-        Tally {
-            empty_tiles: tiles as u64,
-            empty_pixels: patch.rect().area() as u64,
-            ..Tally::new(self.variants.len())
-        }
+        tally.empty_tiles += tiles as u64;
+        tally.empty_pixels += patch.rect().area() as u64;
     }
 
     /// A row of tiles in pieces.

@@ -96,10 +96,9 @@ impl Job<'_> {
         tile: (usize, usize),
         patch: &mut Patch<'_, S>,
         worker: &mut Worker<'r, '_>,
-    ) -> Result<Tally> {
-        let mut tally = Tally::new(self.variants.len());
-        self.part(raster, tile, patch.rect(), worker, patch, &mut tally)?;
-        Ok(tally)
+        tally: &mut Tally,
+    ) -> Result<()> {
+        self.part(raster, tile, patch.rect(), worker, patch, tally)
     }
 
     /// A part of a tile: as it is or, if it is too deep for the budget, in halves.

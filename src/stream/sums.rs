@@ -71,12 +71,15 @@ enum Kept {
 }
 
 /// A weight that some variants share.
+#[derive(Default)]
 struct Weight<'a> {
     /// All count the same where there is none.
     weighting: Option<&'a Weighting>,
     /// Results of a weight of somebody's own that were none, since the tile was begun.
     invalid: u64,
     stopwatch: Stopwatch,
+    /// What it told when it was last looked at, for one of those that share the weight.
+    nanos: u64,
 }
 
 impl Weight<'_> {
@@ -158,7 +161,7 @@ impl<'a> TileSums<'a> {
             };
             let place = all.weights.iter().position(same).unwrap_or(all.weights.len());
             if place == all.weights.len() {
-                all.weights.push(Weight { weighting, invalid: 0, stopwatch: Stopwatch::default() });
+                all.weights.push(Weight { weighting, ..Weight::default() });
                 all.sums.weighted.push(Aligned::default());
             }
             all.variants.push((technique, place));
@@ -303,9 +306,11 @@ impl<'a> TileSums<'a> {
 
     /// How long each variant took while rasterising, since the last look; variants of one weight share it.
     pub fn nanos(&mut self) -> impl Iterator<Item = u64> {
-        let nanos: Vec<_> = self.weights.iter_mut().map(|weight| weight.stopwatch.take()).collect();
-        let sharers = |place| self.variants.iter().filter(|(_, other)| *other == place).count() as u64;
-        self.variants.iter().map(move |&(_, place)| nanos[place] / sharers(place))
+        for (place, weight) in self.weights.iter_mut().enumerate() {
+            let sharers = self.variants.iter().filter(|(_, other)| *other == place).count();
+            weight.nanos = weight.stopwatch.take() / sharers as u64;
+        }
+        self.variants.iter().map(|&(_, place)| self.weights[place].nanos)
     }
 }
 
