@@ -80,7 +80,8 @@ def threads(run: Run) -> dict[str, Any]:
         what = scene(name, run)
         for technique in TECHNIQUES:
             calls = {n: lambda n=n, w=what, t=technique: oitlab.render(w, t, threads=n) for n in {1, cores}}
-            times = timed({str(n): call for n, call in calls.items()}, run.repeats)
+            # a few milliseconds each: many, or whoever else uses the machine decides
+            times = timed({str(n): call for n, call in calls.items()}, 3 * run.repeats)
             one, all_of_them = times["1"], times[str(cores)]
             found[f"{name} {technique}"] = {
                 kind: one[kind] / all_of_them[kind] for kind in ("median_ms", "min_ms")
