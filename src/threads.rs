@@ -1,5 +1,7 @@
 //! Where work runs: on the threads that all renders share, or on some of its own.
 
+mod pools;
+
 use crate::error::{Error, Result};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -20,9 +22,11 @@ pub fn with_threads<T: Send>(
         None => rayon::current_num_threads(),
         Some(n) => n,
     };
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
+    let pool = pools::take(threads);
     let pool = pool.map_err(|e| Error::argument("threads", format!("{threads} cannot be started: {e}")))?;
-    pool.install(|| work(threads))
+    let result = pool.install(|| work(threads));
+    pools::give_back(pool);
+    result
 }
 
 /// Whether this process has the shared threads: the fork of one that has used them has their memory alone, and would wait
