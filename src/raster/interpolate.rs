@@ -91,9 +91,9 @@ struct Slope {
 
 /// Triangles have a slope whose width times height is that of so many pixels.
 const LARGE: f64 = (64 * 64 * SUBPIXELS * SUBPIXELS) as f64;
-/// How much larger than the sum the slope's terms may be. A handful of them are rounded to 2^-53 of themselves: 2^-33 of the sum at
+/// How much larger than the sum the slope's terms may be. A handful of them are rounded to 2^-53 of themselves: 2^-37 of the sum at
 /// most, where a depth is rounded to 2^-24.
-const CANCELLATION: f64 = 65_536.0;
+const CANCELLATION: f64 = 4096.0;
 
 impl Plane {
     /// The plane through three unclipped vertices of nonzero area.
@@ -470,7 +470,7 @@ mod tests {
                     }
                     let (sum, expected) = (slope.sum(slope.row(dy), dx), plane.sum(edges));
                     assert!(
-                        (sum / expected - 1.0).abs() < 2_f64.powi(-33),
+                        (sum / expected - 1.0).abs() < 2_f64.powi(-37),
                         "{n}: {sum} {expected} {plane:?}"
                     );
                 }
