@@ -7,11 +7,26 @@ use std::sync::{Mutex, TryLockError};
 /// Pools that are kept, at most. None has more threads than there are cores: somebody else may need them.
 const POOLS: usize = 4;
 
-/// A pool that nobody works on, with the process that has its threads: a fork has but its memory.
+/// A pool that nobody works on, with where its threads are: they may run where the thread that started them might, and a fork of
+/// their process has but their memory.
 struct Idle {
     process: u32,
+    cores: Cores,
     pool: ThreadPool,
 }
+
+/// Which cores a thread may run on, where the system tells.
+#[cfg(target_os = "linux")]
+type Cores = Option<rustix::thread::CpuSet>;
+#[cfg(not(target_os = "linux"))]
+type Cores = ();
+
+#[cfg(target_os = "linux")]
+fn cores() -> Cores {
+    rustix::thread::sched_getaffinity(None).ok()
+}
+#[cfg(not(target_os = "linux"))]
+fn cores() -> Cores {}
 
 /// The one that has been idle longest first.
 static IDLE: Mutex<Vec<Idle>> = Mutex::new(Vec::new());
@@ -25,25 +40,27 @@ fn change<T>(change: impl FnOnce(&mut Vec<Idle>) -> T) -> Option<T> {
     }
 }
 
-/// So many threads that nobody else works on.
+/// So many threads that nobody else works on, and that may run where the caller may.
 ///
 /// # Errors
 /// Where they cannot be started.
 pub fn take(threads: usize) -> Result<ThreadPool, ThreadPoolBuildError> {
-    let this = std::process::id();
-    let fits = |idle: &Idle| idle.process == this && idle.pool.current_num_threads() == threads;
+    let (this, cores) = (std::process::id(), cores());
+    let fits = |idle: &Idle| {
+        (idle.process, idle.cores) == (this, cores) && idle.pool.current_num_threads() == threads
+    };
     let kept = change(|idle| idle.iter().rposition(fits).map(|place| idle.remove(place).pool));
     kept.flatten().map_or_else(|| ThreadPoolBuilder::new().num_threads(threads).build(), Ok)
 }
 
-/// Keeps them for later.
+/// Keeps them for later; the caller has to be who took them.
 pub fn give_back(pool: ThreadPool) {
     if !may_keep(pool.current_num_threads()) {
         return;
     }
     let this = std::process::id();
     let keep = |idle: &mut Vec<Idle>| {
-        idle.push(Idle { process: this, pool });
+        idle.push(Idle { process: this, cores: cores(), pool });
         let others = idle.extract_if(.., |idle| idle.process != this);
         // what is dropped would be told to end, and there is nobody to tell it to
         others.for_each(std::mem::forget);
@@ -81,6 +98,29 @@ mod tests {
         };
         assert!((0..1000).any(is_used_again));
         assert_ne!(threads_of(&take(1).unwrap()), threads_of(&second));
+    }
+
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn threads_for_other_cores_are_others() {
+        use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
+
+        // on a thread of its own, whose cores are nobody else's business
+        let on_one_core = std::thread::spawn(|| {
+            let all = sched_getaffinity(None).unwrap();
+            let mut one = CpuSet::new();
+            one.set((0..CpuSet::MAX_CPU).find(|&core| all.is_set(core)).unwrap());
+            for _ in 0..100 {
+                give_back(take(1).unwrap());
+            }
+            sched_setaffinity(None, &one).unwrap();
+            let pool = take(1).unwrap();
+            let its = pool.install(|| sched_getaffinity(None).unwrap());
+            give_back(pool);
+            (its, one)
+        });
+        let (its, one) = on_one_core.join().unwrap();
+        assert_eq!(its, one);
     }
 
     #[test]
