@@ -89,7 +89,7 @@ struct Slope {
     gain: (f64, f64),
 }
 
-/// Triangles have a slope whose width times height is that of so many pixels.
+/// Triangles have a slope whose sides' widths times heights, of the two at the first corner, are more than that of so many pixels.
 const LARGE: f64 = (64 * 64 * SUBPIXELS * SUBPIXELS) as f64;
 /// How much larger than the sum the slope's terms may be. A handful of them are rounded to 2^-53 of themselves: 2^-37 of the sum at
 /// most, where a depth is rounded to 2^-24.
@@ -452,7 +452,10 @@ mod tests {
                     continue;
                 }
                 let Some(slope) = plane.slope() else {
-                    slivers += 1;
+                    let (width, height) =
+                        (plane.to_1.0.abs() + plane.to_2.0.abs(), plane.to_1.1.abs() + plane.to_2.1.abs());
+                    // the others are too small
+                    slivers += u32::from(width * height > LARGE);
                     continue;
                 };
                 sloped += 1;
@@ -477,6 +480,30 @@ mod tests {
             }
         }
         assert!(sloped > 500 && slivers > 500, "{sloped} {slivers}");
+    }
+
+    #[test]
+    fn depths_without_a_slope_are_those_of_single_pixels() {
+        let vertex = |x: i32, y: i32, z: f64| ScreenVertex { x, y, z };
+        let small = [vertex(300, 410, 1.1), vertex(9800, 700, 3.7), vertex(2000, 10_100, 8.9)];
+        // steep rather than narrow, so that it has pixels
+        let steep = [vertex(300, 410, 1.1), vertex(60_800, 700, 3.7), vertex(2000, 61_100, 8.9e4)];
+        for corners in [small, steep] {
+            let plane = Plane::new(&corners, true);
+            assert!(plane.slope().is_none());
+            let runs: Vec<_> = (4..30).map(|y| Run { x: 4, y, first: 0, len: 2 }).collect();
+            let pixels: Vec<_> = runs.iter().flat_map(|run| [(run.x, run.y), (run.x + 1, run.y)]).collect();
+            let alone: Vec<_> = pixels.iter().map(|&(x, y)| plane.at(x, y).depth).collect();
+            let mut depth = vec![0.0; pixels.len() + LANES];
+            plane.depths_of_many(&runs, &mut depth);
+            assert_eq!(depth[..pixels.len()], alone);
+            let mut few = Pixels::default();
+            few.begin(Rect { x0: 0, y0: 0, x1: 64, y1: 64 });
+            few.list(&runs);
+            plane.depths_at(&few, &mut depth);
+            assert_eq!(depth[..pixels.len()], alone);
+            assert!(alone.iter().all(|depth| *depth > 1.1));
+        }
     }
 
     #[test]

@@ -140,6 +140,24 @@ fn weights_stay_within_their_bounds() {
 }
 
 #[test]
+fn one_alpha_is_weighed_like_many_equal_ones() {
+    for formula in formulas(0.1, 100.0) {
+        for (scale, shift) in [(1.0, 0.0), (0.7, 0.0), (1.0, 0.3), (-1.0, 5.0)] {
+            let weighting = Weighting::new(Function::Published(formula), scale, shift);
+            for len in 0..40_u16 {
+                let depth: Vec<f32> = (0..len).map(|i| 0.3 + 2.5 * f32::from(i)).collect();
+                for alpha in [0.0, 1e-30, 0.4, 1.0] {
+                    let (mut many, mut one) = (Vec::new(), vec![7.0; depth.len()]);
+                    weighting.evaluate(&depth, &vec![alpha; depth.len()], &mut many);
+                    weighting.evaluate_here(&depth, alpha, &mut one);
+                    assert_eq!(one, many, "{formula:?} {scale} {shift} {alpha} {len}");
+                }
+            }
+        }
+    }
+}
+
+#[test]
 fn long_lists_are_weighed_like_short_ones() {
     let depth: Vec<f32> = (0..1000_u16).map(|i| f32::from(i) * 0.1).collect();
     let alpha = vec![0.5; depth.len()];
