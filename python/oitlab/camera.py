@@ -28,7 +28,7 @@ class Camera:
     fov_y : float, optional
         Vertical field of view in degrees, in (0, 180); 45 unless `ortho_height` is given.
     near, far : floats
-        Depths of the clip planes, in scene units: 0 < near < far for a pinhole camera, near < far otherwise.
+        Depths of the clip planes, in scene units: 0 < near < far, for orthographic cameras, too.
     ortho_height : float, optional
         Height of the view in scene units; makes the camera orthographic, instead of `fov_y`.
 
