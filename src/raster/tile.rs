@@ -2,7 +2,7 @@
 //! runs of pixels, small ones as lists of pixels.
 
 use super::Raster;
-use super::cover::{Rect, spans};
+use super::cover::{Rect, lies_beside, spans};
 use super::interpolate::{LANES, Plane, Ray, Surface};
 use super::occlusion::Opaque;
 use super::pixels::{FEW, Pixels, Where};
@@ -238,6 +238,10 @@ impl Tile {
                 let sign = triangle.sign();
                 if few.list_triangle(points, sign, &bounds) {
                     return few.places().len();
+                }
+                // a third of the tiles in a large triangle's bounds
+                if lies_beside(points, sign, &bounds) {
+                    return 0;
                 }
                 let Some(pixels) = triangle_runs(points, sign.into(), &rect, &bounds, runs) else {
                     runs.extend_from_slice(&self.full_runs);
