@@ -233,8 +233,10 @@ impl<'a> Job<'a> {
         let workers = Workers::new(|| tiles::Worker::new(self));
         let nothing = || Tally::new(self.variants.len());
         let both = |a: Tally, b| Ok(a.merge(&b));
+        let mut bands: Vec<_> = target.bands(tile_size).into_iter().enumerate().collect();
+        deal(&mut bands, rayon::current_num_threads(), |(row, _)| raster.primitives_in_row(*row));
         // a band's tiles are cut where it is drawn, not one after the other for all threads
-        let bands = target.bands(tile_size).into_par_iter().enumerate().map(|(row, band)| {
+        let bands = bands.into_par_iter().map(|(row, band)| {
             let pieces = self.pieces(raster, row);
             let rects = pieces.iter().map(|piece| piece.rect(raster, row));
             // a working memory and a tally for a run of pieces that one thread draws
@@ -363,6 +365,15 @@ impl<'a> Job<'a> {
             threads: clock.threads,
         }
     }
+}
+
+/// Deals bands out like cards, the dearest first: threads, which begin with the first of an equal share each, end with the
+/// cheapest, so that none waits long for another.
+fn deal<T>(bands: &mut Vec<T>, threads: usize, cost: impl Fn(&T) -> usize) {
+    bands.sort_by_cached_key(|band| std::cmp::Reverse(cost(band)));
+    let mut shares: Vec<Vec<T>> = (0..threads).map(|_| Vec::new()).collect();
+    bands.drain(..).enumerate().for_each(|(rank, band)| shares[rank % threads].push(band));
+    bands.extend(shares.into_iter().flatten());
 }
 
 /// The end of the longest run of pixels from `first` whose fragments fit the budget; at least one pixel.

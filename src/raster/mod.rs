@@ -87,6 +87,11 @@ impl<'a> Raster<'a> {
     pub fn transparent_primitives(&self, tile: (usize, usize)) -> usize {
         self.transparent_in(tile).map(|(_, count)| count).sum()
     }
+    /// How often primitives may have pixels in the tiles of a row.
+    pub fn primitives_in_row(&self, row: usize) -> usize {
+        let tiles = row * self.columns()..(row + 1) * self.columns();
+        self.opaque.iter().chain(&self.transparent).map(|chunk| chunk.count_in(tiles.clone())).sum()
+    }
     /// Whether nothing at all is to be drawn in the tile.
     pub fn is_empty_tile(&self, column: usize, row: usize) -> bool {
         let tile = row * self.columns() + column;

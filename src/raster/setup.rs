@@ -182,6 +182,14 @@ impl Chunk {
         }
     }
 
+    /// How many entries some neighbouring tiles have.
+    pub fn count_in(&self, tiles: Range<usize>) -> usize {
+        match (self.starts.get(tiles.start), self.starts.get(tiles.end)) {
+            (Some(&start), Some(&end)) => (end - start) as usize,
+            _ => 0,
+        }
+    }
+
     /// Fetches some triangles, so that misses of the cache overlap.
     #[inline]
     pub fn touch(&self, entries: &[u32]) {
