@@ -3,7 +3,7 @@
 use crate::error::{Error, Result};
 use crate::frame::Sample;
 use crate::raster::Rect;
-use crate::stream::{Cells, RowOfCells};
+use crate::stream::{Cells, Strip};
 use crate::technique::{FinishedPixels, Resolved};
 use multiversion::multiversion;
 use std::ops::Range;
@@ -176,19 +176,16 @@ impl<S: Sample> Patch<'_, S> {
     /// Stores one pixel of variant `v` in all places of a cell of the part `rect`, for each of its cells. As above, the
     /// background has one share in all channels.
     pub fn fill(&mut self, v: usize, rect: &Rect, cells: &Cells, pixels: &FinishedPixels) {
-        let mut rows = cells.rows();
+        let mut rows = cells.strips().flat_map(|strip| {
+            let again = strip.rows.len() - 1;
+            std::iter::once(Some(strip)).chain(std::iter::repeat_with(|| None).take(again))
+        });
         let mut buffer = RowBuffer::default();
-        let store = |colors: &mut [[S; 3]], shares: &mut [S], _, now: Range<usize>| {
-            if let Some(RowOfCells { places, ends }) = rows.next() {
-                spread(
-                    pixels.planes(places),
-                    now.start,
-                    ends,
-                    &mut buffer,
-                    colors.as_flattened_mut(),
-                    shares,
-                );
+        let store = |colors: &mut [[S; 3]], shares: &mut [S], _, _| {
+            if let Some(Some(Strip { places, ends, .. })) = rows.next() {
+                spread(pixels.planes(places), ends, &mut buffer);
             }
+            buffer.copy_to(colors.as_flattened_mut(), shares);
         };
         self.rows(v, rect, 0, rect.area(), store);
     }
@@ -289,20 +286,21 @@ impl<S: Sample> Default for RowBuffer<S> {
     }
 }
 
-/// Writes a row of cells, which begins with pixel `first` of the tile: each cell's pixel up to its end.
+impl<S: Sample> RowBuffer<S> {
+    /// The row's pixels, as many as there is room for.
+    fn copy_to(&self, colors: &mut [S], shares: &mut [S]) {
+        debug_assert_eq!(3 * shares.len(), colors.len());
+        colors.copy_from_slice(&self.colors[..colors.len()]);
+        shares.copy_from_slice(&self.shares[..shares.len()]);
+    }
+}
+
+/// Makes a row of cells: each cell's pixel up to its end.
 #[multiversion(
     targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"),
     dispatcher = "direct"
 )]
-fn spread<S: Sample>(
-    [r, g, b, share]: [&[f64]; 4],
-    first: usize,
-    ends: &[u32],
-    buffer: &mut RowBuffer<S>,
-    colors: &mut [S],
-    shares: &mut [S],
-) {
-    debug_assert_eq!(3 * shares.len(), colors.len());
+fn spread<S: Sample>([r, g, b, share]: [&[f64]; 4], ends: &[u32], buffer: &mut RowBuffer<S>) {
     let cells = &mut buffer.cells[..ends.len()];
     let (r, g, b, share) = (&r[..ends.len()], &g[..ends.len()], &b[..ends.len()], &share[..ends.len()]);
     for (i, cell) in cells.iter_mut().enumerate() {
@@ -311,7 +309,7 @@ fn spread<S: Sample>(
     }
     let mut next = 0;
     for (cell, &end) in cells.iter().zip(ends) {
-        let end = end as usize - first;
+        let end = end as usize;
         while next < end {
             let block =
                 (buffer.colors[3 * next..].first_chunk_mut(), buffer.shares[next..].first_chunk_mut());
@@ -322,8 +320,6 @@ fn spread<S: Sample>(
         }
         next = end;
     }
-    colors.copy_from_slice(&buffer.colors[..colors.len()]);
-    shares.copy_from_slice(&buffer.shares[..shares.len()]);
 }
 
 #[cfg(test)]
@@ -335,13 +331,14 @@ mod tests {
             (0..4).map(|plane| (0..70).map(|cell| f64::from(100 * plane + cell)).collect()).collect();
         for columns in [1_usize, 7, 8, 9, 15, 16, 17, 64] {
             for length in [1, 2, 7, 8, 9, 20, 64] {
-                let first = 5 * columns;
-                let ends: Vec<usize> =
-                    (1..=columns.div_ceil(length)).map(|n| (n * length).min(columns)).collect();
+                let ends: Vec<u32> = (1..=columns.div_ceil(length))
+                    .map(|n| u32::try_from((n * length).min(columns)).unwrap())
+                    .collect();
                 let cells = [0, 1, 2, 3].map(|plane: usize| &planes[plane][..ends.len()]);
-                let in_tile: Vec<_> = ends.iter().map(|end| u32::try_from(first + end).unwrap()).collect();
                 let (mut colors, mut shares) = (vec![S::default(); 3 * columns], vec![S::default(); columns]);
-                spread(cells, first, &in_tile, &mut RowBuffer::default(), &mut colors, &mut shares);
+                let mut buffer = RowBuffer::default();
+                spread(cells, &ends, &mut buffer);
+                buffer.copy_to(&mut colors, &mut shares);
                 for x in 0..columns {
                     let sample = |plane: usize| S::from_f64(cells[plane][x / length]);
                     assert_eq!(

@@ -7,7 +7,7 @@ mod touched;
 
 pub use layers::{TileBlend, TileOver};
 pub use over_lists::over_lists;
-pub use sums::{Cells, RowOfCells, TileSums};
+pub use sums::{Cells, Strip, TileSums};
 
 use crate::raster::{Cover, Paint, Premultiplied};
 use crate::resolve::nanos_since;

@@ -21,7 +21,7 @@ use crate::resolve::nanos_since;
 use crate::technique::FinishedPixels;
 use crate::weight::Weighting;
 use aligned::Aligned;
-pub use cells::{Cells, RowOfCells};
+pub use cells::{Cells, Strip};
 use deferred::Deferred;
 use kernels::{
     Places, add_constant, add_constant_to_few, add_few, add_flat, add_weighted, attenuate, blend_few,

@@ -1,5 +1,6 @@
-//! Neighbouring pixels of a row that the same primitives cover, each the same everywhere, have the same sums: a cell of
-//! the tile. Where cells are far fewer than pixels, sums are kept and finished once per cell.
+//! Neighbouring pixels that the same primitives cover, each the same everywhere, have the same sums: a cell of the tile, which
+//! is a part of a row, and of the rows below that are like it. Where cells are far fewer than pixels, sums are kept and
+//! finished once per cell.
 
 use super::rows::{BLOCK, Stretch};
 use crate::raster::Rect;
@@ -11,14 +12,16 @@ const PIXELS_PER_CELL: usize = 4;
 /// Stretches are worth looking at where there are so many pixels to each, at least: those that are whole rows make no cells.
 const PIXELS_PER_STRETCH: usize = 2;
 
-/// How a tile falls into cells, row by row from the top.
+/// How a tile falls into cells, strip by strip from the top: a strip is a row, and those below with the same stretches.
 #[derive(Debug, Default)]
 pub struct Cells {
-    /// Per row, the columns where a cell begins, as bits.
+    /// The first row of each strip, and the number of all.
+    tops: Vec<u32>,
+    /// Per strip, the columns where a cell begins, as bits.
     begins: Vec<u64>,
-    /// The index of each row's first cell, and the number of all.
+    /// The index of each strip's first cell, and the number of all.
     firsts: Vec<u32>,
-    /// One past the last pixel of each cell in the tile.
+    /// One past the last column of each cell.
     ends: Vec<u32>,
 }
 
@@ -39,19 +42,27 @@ impl Cells {
     #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
     fn begin(&mut self, columns: usize, rows: &[Vec<Stretch>], most: usize) -> bool {
         let inside = u64::MAX >> (Self::MOST_COLUMNS - columns);
+        self.tops.clear();
         self.begins.clear();
         self.firsts.clear();
         let mut count = 0;
-        for row in rows {
+        let mut above = None;
+        for (y, row) in (0..).zip(rows) {
+            if above.replace(row) == Some(row) {
+                continue;
+            }
             let mut begins = 1;
             for stretch in row {
                 begins |= bit(stretch.from) | bit(stretch.to);
             }
             begins &= inside;
+            self.tops.push(y);
             self.begins.push(begins);
             self.firsts.push(count);
             count += begins.count_ones();
         }
+        #[expect(clippy::cast_possible_truncation, reason = "rows of a tile")]
+        self.tops.push(rows.len() as u32);
         self.firsts.push(count);
         count as usize <= most
     }
@@ -59,33 +70,30 @@ impl Cells {
     /// Finds where they end.
     #[inline(always)]
     #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
-    #[expect(clippy::cast_possible_truncation, reason = "pixels of a tile")]
+    #[expect(clippy::cast_possible_truncation, reason = "columns of a tile")]
     fn end(&mut self, columns: usize) {
         self.ends.clear();
-        let mut row_end = 0;
         for begins in &self.begins {
-            let first = row_end;
-            row_end += columns as u32;
             // a cell ends where the next begins
             let mut later = begins & (begins - 1);
             while later != 0 {
-                self.ends.push(first + later.trailing_zeros());
+                self.ends.push(later.trailing_zeros());
                 later &= later - 1;
             }
-            self.ends.push(row_end);
+            self.ends.push(columns as u32);
         }
     }
 
-    /// The stretches of a row as ones of that row's cells, which are counted from its first on, in place of those in
+    /// The stretches of a strip's rows as ones of its cells, which are counted from its first on, in place of those in
     /// `in_cells`.
-    pub fn convert(&self, row: usize, stretches: &[Stretch], in_cells: &mut Vec<Stretch>) {
+    pub fn convert(&self, strip: usize, stretches: &[Stretch], in_cells: &mut Vec<Stretch>) {
         in_cells.clear();
-        convert(self.begins[row], stretches, in_cells);
+        convert(self.begins[strip], stretches, in_cells);
     }
 
-    /// Where a row's cells are among all, and as many more as make whole blocks.
-    pub fn blocks_of(&self, row: usize) -> Range<usize> {
-        let (first, end) = (self.firsts[row] as usize, self.firsts[row + 1] as usize);
+    /// Where a strip's cells are among all, and as many more as make whole blocks.
+    pub fn blocks_of(&self, strip: usize) -> Range<usize> {
+        let (first, end) = (self.firsts[strip] as usize, self.firsts[strip + 1] as usize);
         first..first + (end - first).next_multiple_of(BLOCK)
     }
 
@@ -101,13 +109,19 @@ impl Cells {
 
     /// How many pixels each has.
     pub fn pixels(&self) -> impl Iterator<Item = usize> {
-        self.ends.iter().scan(0, |first, &end| Some((end - std::mem::replace(first, end)) as usize))
+        self.strips().flat_map(|Strip { rows, ends, .. }| {
+            let widths =
+                ends.iter().scan(0, |first, &end| Some((end - std::mem::replace(first, end)) as usize));
+            widths.map(move |width| width * rows.len())
+        })
     }
 
-    /// Row by row, its cells.
-    pub fn rows(&self) -> impl Iterator<Item = RowOfCells<'_>> {
-        let places = self.firsts.iter().zip(&self.firsts[1..]).map(|(&a, &b)| a as usize..b as usize);
-        places.map(|places| RowOfCells { ends: &self.ends[places.clone()], places })
+    /// The strips, from the top.
+    pub fn strips(&self) -> impl Iterator<Item = Strip<'_>> {
+        let range = |(&a, &b): (&u32, &u32)| a as usize..b as usize;
+        let rows = self.tops.iter().zip(&self.tops[1..]).map(range);
+        let places = self.firsts.iter().zip(&self.firsts[1..]).map(range);
+        rows.zip(places).map(|(rows, places)| Strip { rows, ends: &self.ends[places.clone()], places })
     }
 }
 
@@ -132,11 +146,13 @@ fn convert(begins: u64, stretches: &[Stretch], in_cells: &mut Vec<Stretch>) {
     }
 }
 
-/// The cells of a row of the tile.
-pub struct RowOfCells<'a> {
-    /// Which they are among all.
+/// Rows of the tile that are alike, and their cells.
+pub struct Strip<'a> {
+    /// Which rows they are.
+    pub rows: Range<usize>,
+    /// Which the cells are among all.
     pub places: Range<usize>,
-    /// One past the last pixel of each in the tile.
+    /// One past the last column of each.
     pub ends: &'a [u32],
 }
 
@@ -170,8 +186,10 @@ mod tests {
         let rows = rows([&[(0, 64)], &[(2, 64), (2, 12)], &[], &[(63, 64)]]);
         assert!(find(&mut cells, &RECT, &rows));
         assert_eq!(cells.pixels().collect::<Vec<_>>(), [64, 2, 10, 52, 64, 63, 1]);
-        let of_rows: Vec<_> = cells.rows().map(|row| (row.places, row.ends)).collect();
-        assert_eq!(of_rows, [(0..1, &[64][..]), (1..4, &[66, 76, 128]), (4..5, &[192]), (5..7, &[255, 256])]);
+        let strips: Vec<_> = cells.strips().map(|strip| (strip.rows, strip.places, strip.ends)).collect();
+        let expected: [(_, _, &[u32]); 4] =
+            [(0..1, 0..1, &[64]), (1..2, 1..4, &[2, 12, 64]), (2..3, 4..5, &[64]), (3..4, 5..7, &[63, 64])];
+        assert_eq!(strips, expected);
         let mut in_cells = Vec::new();
         let mut of = |row: usize| {
             cells.convert(row, &rows[row], &mut in_cells);
@@ -183,6 +201,18 @@ mod tests {
     }
 
     #[test]
+    fn rows_that_are_alike_share_their_cells() {
+        let mut cells = Cells::default();
+        let mut rows = rows([&[(2, 12)], &[(2, 12)], &[(2, 12), (2, 12)], &[(2, 12), (2, 12)]]);
+        assert!(find(&mut cells, &RECT, &rows));
+        assert_eq!(cells.pixels().collect::<Vec<_>>(), [4, 20, 104, 4, 20, 104]);
+        rows[1][0].layer = 1;
+        assert!(find(&mut cells, &RECT, &rows));
+        let strips: Vec<_> = cells.strips().map(|strip| (strip.rows, strip.places)).collect();
+        assert_eq!(strips, [(0..1, 0..3), (1..2, 3..6), (2..4, 6..9)], "another primitive, and one more");
+    }
+
+    #[test]
     fn narrow_tiles_end_with_their_rows() {
         let rect = Rect { x0: 0, y0: 0, x1: 9, y1: 2 };
         let mut cells = Cells::default();
@@ -190,6 +220,7 @@ mod tests {
         assert_eq!(cells.pixels().collect::<Vec<_>>(), [9, 9]);
         assert!(find(&mut cells, &rect, &rows([&[], &[(2, 3)]])), "4 cells of 18 pixels");
         assert!(!find(&mut cells, &rect, &rows([&[(1, 2)], &[(2, 3)]])), "6 cells of 18 pixels");
+        assert!(find(&mut cells, &rect, &rows([&[(2, 3)], &[(2, 3)]])), "3 cells of 18 pixels");
     }
 
     #[test]
@@ -197,8 +228,8 @@ mod tests {
         let mut cells = Cells::default();
         assert!(!find(&mut cells, &Rect { x1: 193, ..RECT }, &rows([&[], &[], &[], &[]])));
         let crowd: Vec<_> = (0..60).map(|x| (1 + x, 4 + x)).collect();
-        assert!(find(&mut cells, &RECT, &rows([&[], &crowd[..57], &[], &[]])), "64 cells");
-        assert!(!find(&mut cells, &RECT, &rows([&[], &crowd[..58], &[], &[]])), "65 cells");
+        assert!(find(&mut cells, &RECT, &rows([&[], &crowd[..57], &[], &[(0, 64)]])), "64 cells");
+        assert!(!find(&mut cells, &RECT, &rows([&[], &crowd[..58], &[], &[(0, 64)]])), "65 cells");
         assert!(find(&mut cells, &RECT, &rows([&[(0, 64); 128], &[], &[], &[]])));
         assert!(!find(&mut cells, &RECT, &rows([&[(0, 64); 129], &[], &[], &[]])), "too many to look at");
     }

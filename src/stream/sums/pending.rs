@@ -1,7 +1,7 @@
 //! Primitives that are the same everywhere, kept until there are many, or until there are no more, and then blended into one
 //! row of the tile after the other, or into its cells. A pixel gets its fragments in the same order.
 
-use super::cells::Cells;
+use super::cells::{Cells, Strip};
 use super::kernels::Places;
 use super::rows::{Stretch, add_row, blend_row, cover_row};
 use super::{Sums, Weight};
@@ -186,10 +186,10 @@ impl Pending {
     /// Blends everything that waits into fresh sums of the tile's cells, for which there is [room](Cells::room).
     pub fn blend_cells(&mut self, cells: &Cells, sums: &mut Sums) {
         let mut in_cells = std::mem::take(&mut self.in_cells);
-        for (row, stretches) in self.rows.iter().enumerate() {
-            cells.convert(row, stretches, &mut in_cells);
-            // whole blocks, the ends of which the next row writes over
-            self.blend(&in_cells, cells.blocks_of(row), sums, true);
+        for (strip, Strip { rows, .. }) in cells.strips().enumerate() {
+            cells.convert(strip, &self.rows[rows.start], &mut in_cells);
+            // whole blocks, the ends of which the next strip writes over
+            self.blend(&in_cells, cells.blocks_of(strip), sums, true);
         }
         self.in_cells = in_cells;
     }

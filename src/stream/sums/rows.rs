@@ -16,7 +16,7 @@ const WIDTH: i32 = 16;
 const CHANNELS: usize = 4;
 
 /// Neighbouring pixels of the row in one layer: of a primitive, or of some that look the same.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Stretch {
     /// Columns in the tile; one past the last.
     pub from: i32,
