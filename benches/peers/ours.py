@@ -24,7 +24,10 @@ def setup(arrays: Any, mode: str) -> Callable[[], Any]:
 
     def frame() -> Any:
         result = oitlab.render(scene, mode)
-        frame.info = {"fragments": result.stats.fragments, "threads": result.stats.threads}  # type: ignore[attr-defined]
+        if not frame.info:  # type: ignore[attr-defined]
+            stats = result.stats
+            frame.info = {"fragments": stats.fragments, "threads": stats.threads}  # type: ignore[attr-defined]
         return result.color
 
+    frame.info = {}  # type: ignore[attr-defined]
     return frame

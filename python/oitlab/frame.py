@@ -103,13 +103,13 @@ class Frame:
         The background's share, as the technique has it.
     technique : str
         The technique's id; aliases are resolved.
-    params : dict
+    params : dict, or a function that gives it
         Every parameter with its value, defaults included.
-    inactive_params : frozenset of str, optional
+    inactive_params : frozenset of str, or a function that gives it, optional
         Names of those that do nothing under the others, such as `weight_k` with `weight="mb7"`.
     scene_hash : str, or a function that gives it
         `content_hash` of what was rendered.
-    stats : Stats
+    stats : Stats, or a function that gives them
     first_depth : (H, W) float32, or a function that gives it
         Depth of the nearest transparent fragment, +inf where there is none.
     fragment_count : (H, W) uint32, or a function that gives it
@@ -134,21 +134,21 @@ class Frame:
         color: Later[Floats],
         transmittance: Later[Floats],
         technique: str,
-        params: dict[str, Any],
+        params: Later[dict[str, Any]],
         scene_hash: Later[str],
-        stats: Stats,
+        stats: Later[Stats],
         first_depth: Later[NDArray[np.float32]],
         fragment_count: Later[NDArray[np.uint32]],
         diagnostics: Diagnostics | None = None,
-        inactive_params: frozenset[str] = frozenset(),
+        inactive_params: Later[frozenset[str]] = frozenset(),
     ) -> None:
         self._color: _Cell[Floats] = _Cell(color)
         self._transmittance: _Cell[Floats] = _Cell(transmittance)
         self._technique = technique
-        self._params = params
-        self._inactive_params = inactive_params
+        self._params = _Cell(params)
+        self._inactive_params = _Cell(inactive_params)
         self._scene_hash = _Cell(scene_hash)
-        self._stats = stats
+        self._stats = _Cell(stats)
         self._first_depth = _Cell(first_depth)
         self._fragment_count = _Cell(fragment_count)
         self._diagnostics = diagnostics or Diagnostics({}, technique, asked=diagnostics is not None)
@@ -171,12 +171,12 @@ class Frame:
     @property
     def params(self) -> dict[str, Any]:
         """Every parameter with its value."""
-        return self._params
+        return self._params.get()
 
     @property
     def inactive_params(self) -> frozenset[str]:
         """Names of the parameters that do nothing under the others."""
-        return self._inactive_params
+        return self._inactive_params.get()
 
     @property
     def scene_hash(self) -> str:
@@ -186,7 +186,7 @@ class Frame:
     @property
     def stats(self) -> Stats:
         """What the frame cost."""
-        return self._stats
+        return self._stats.get()
 
     @property
     def first_depth(self) -> NDArray[np.float32]:

@@ -159,7 +159,8 @@ def order_sensitivity(
     if bound.definition is None and any(map(_is_own_function, bound.params.values())):
         with silent_weights():
             frame = render(fragments, technique, params, threads=threads)
-        warn_of_weights([frame])  # what is no weight in one order is none in any
+        # what is no weight in one order is none in any
+        warn_of_weights([(frame.technique, frame.stats.invalid_weights)])
     return variance
 
 

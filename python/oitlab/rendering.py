@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import warnings
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
@@ -204,8 +204,8 @@ def _render(
         raws = _oitlab.render_gpu(source._handle, jobs, *options[:2], path)
     else:
         raws = _oitlab.render(source._handle, jobs, *options)
+    warn_of_weights((raw.technique, raw.invalid_weights) for raw in raws)
     frames = [_frame(raw, one) for raw, one in zip(raws, bound, strict=True)]
-    warn_of_weights(frames)
     if not diagnosed:
         return frames
     found = _oitlab.diagnose(source._handle, jobs, options[0])
@@ -257,14 +257,14 @@ def silent_weights() -> Iterator[None]:
         _is_silent.reset(token)
 
 
-def warn_of_weights(frames: Sequence[Frame]) -> None:
-    """Warn whoever called oitlab, once, of everything that was no weight."""
-    found = [frame for frame in frames if frame.stats.invalid_weights]
+def warn_of_weights(counts: Iterable[tuple[str, int]]) -> None:
+    """Warn whoever called oitlab, once, of everything that was no weight: techniques, and how often."""
+    found = [(technique, times) for technique, times in counts if times]
     if found and not _is_silent.get():
-        counts = ", ".join(f"{frame.stats.invalid_weights} of {frame.technique}" for frame in found)
+        told = ", ".join(f"{times} of {technique}" for technique, times in found)
         message = (
             "a function of one's own gave what is no weight (a finite number above 0) or no share (one from 0"
-            f" up); the least there is took its place. Fragments: {counts}"
+            f" up); the least there is took its place. Fragments: {told}"
         )
         warnings.warn(message, WeightWarning, stacklevel=outside())
 
@@ -379,24 +379,24 @@ def _diagnosed(frame: Frame, images: dict[str, Any]) -> Frame:
 
 
 def _frame(raw: _oitlab.Frame, bound: Bound) -> Frame:
-    stats = Stats(**raw.stats)
-    if bound.definition is not None:
-        stats = _with_cost(stats, bound.definition, bound.params)
+    own = bound.definition
     return Frame(
         color=lambda: raw.color,
         transmittance=lambda: raw.transmittance,
         technique=raw.technique,
-        params=raw.params if bound.definition is None else bound.params,
-        inactive_params=frozenset(raw.inactive_params),
+        params=(lambda: raw.params) if own is None else bound.params,
+        inactive_params=lambda: frozenset(raw.inactive_params),
         scene_hash=lambda: raw.source_hash,
-        stats=stats,
+        # what a technique of one's own says of itself is asked for now, and may raise
+        stats=(lambda: Stats(**raw.stats)) if own is None else _with_cost(raw, own, bound.params),
         first_depth=lambda: raw.first_depth,
         fragment_count=lambda: raw.fragment_count,
     )
 
 
-def _with_cost(stats: Stats, definition: Definition, params: Mapping[str, Any]) -> Stats:
+def _with_cost(raw: _oitlab.Frame, definition: Definition, params: Mapping[str, Any]) -> Stats:
     """Fill in what the core cannot know: what a technique of one's own says of itself."""
+    stats = Stats(**raw.stats)
     cost = definition.cost(params, stats.depth_complexity_mean, stats.depth_complexity_max)
     return dataclasses.replace(
         stats, geometry_passes=cost.geometry_passes, bytes_per_pixel=cost.bytes_per_pixel

@@ -87,6 +87,11 @@ impl PyFrame {
         let shape = [self.frame.height as usize, self.frame.width as usize];
         Ok(PyArray1::from_slice(py, &self.depth(py)?.fragment_count).reshape(shape)?.into_any())
     }
+    /// Of the stats, what every call looks at.
+    #[getter]
+    fn invalid_weights(&self) -> u64 {
+        self.frame.stats.invalid_weights
+    }
     #[getter]
     fn stats<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let stats = &self.frame.stats;
