@@ -32,7 +32,7 @@ use crate::scene::Scene;
 use crate::technique::{Batch, DepthComplexity};
 use crate::threads::{Lent, Workers, with_threads};
 use image::{Patch, Target, VariantImage};
-use pieces::Piece;
+use pieces::{Piece, deal};
 use plan::Plan;
 use rayon::prelude::*;
 use request::Asked;
@@ -365,15 +365,6 @@ impl<'a> Job<'a> {
             threads: clock.threads,
         }
     }
-}
-
-/// Deals bands out like cards, the dearest first: threads, which begin with the first of an equal share each, end with the
-/// cheapest, so that none waits long for another.
-fn deal<T>(bands: &mut Vec<T>, threads: usize, cost: impl Fn(&T) -> usize) {
-    bands.sort_by_cached_key(|band| std::cmp::Reverse(cost(band)));
-    let mut shares: Vec<Vec<T>> = (0..threads).map(|_| Vec::new()).collect();
-    bands.drain(..).enumerate().for_each(|(rank, band)| shares[rank % threads].push(band));
-    bands.extend(shares.into_iter().flatten());
 }
 
 /// The end of the longest run of pixels from `first` whose fragments fit the budget; at least one pixel.

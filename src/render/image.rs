@@ -176,16 +176,18 @@ impl<S: Sample> Patch<'_, S> {
     /// Stores one pixel of variant `v` in all places of a cell of the part `rect`, for each of its cells. As above, the
     /// background has one share in all channels.
     pub fn fill(&mut self, v: usize, rect: &Rect, cells: &Cells, pixels: &FinishedPixels) {
-        let mut rows = cells.strips().flat_map(|strip| {
-            let again = strip.rows.len() - 1;
-            std::iter::once(Some(strip)).chain(std::iter::repeat_with(|| None).take(again))
-        });
+        let (mut strips, mut row, mut end) = (cells.strips(), 0, 0);
         let mut buffer = RowBuffer::default();
         let store = |colors: &mut [[S; 3]], shares: &mut [S], _, _| {
-            if let Some(Some(Strip { places, ends, .. })) = rows.next() {
+            // the other rows of a strip are as its first
+            if row == end
+                && let Some(Strip { rows, places, ends }) = strips.next()
+            {
+                end = rows.end;
                 spread(pixels.planes(places), ends, &mut buffer);
             }
             buffer.copy_to(colors.as_flattened_mut(), shares);
+            row += 1;
         };
         self.rows(v, rect, 0, rect.area(), store);
     }

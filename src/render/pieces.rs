@@ -1,10 +1,11 @@
-//! A row of tiles in pieces, each of which is written by one thread.
+//! Rows of tiles, in the order in which threads take them, and in pieces, each of which is written by one thread.
 
 use super::Job;
 use super::image::Patch;
 use super::tally::Tally;
 use crate::frame::Sample;
 use crate::raster::{Raster, Rect};
+use std::cmp::Reverse;
 use std::ops::Range;
 
 /// A piece of a row of tiles.
@@ -53,5 +54,30 @@ impl Job<'_> {
             }
         }
         pieces
+    }
+}
+
+/// Deals bands out like cards, the dearest first: threads, which begin with the first of an equal share each, end with the
+/// cheapest, so that none waits long for another.
+pub(super) fn deal<T>(bands: &mut Vec<T>, threads: usize, cost: impl Fn(&T) -> usize) {
+    bands.sort_by_cached_key(|band| Reverse(cost(band)));
+    let mut shares: Vec<Vec<T>> = (0..threads).map(|_| Vec::new()).collect();
+    bands.drain(..).enumerate().for_each(|(rank, band)| shares[rank % threads].push(band));
+    bands.extend(shares.into_iter().flatten());
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_thread_ends_with_the_cheapest() {
+        let mut bands = vec![3, 9, 1, 7, 5];
+        deal(&mut bands, 2, |band| *band);
+        assert_eq!(bands, [9, 5, 1, 7, 3]);
+        deal(&mut bands, 9, |band| *band);
+        assert_eq!(bands, [9, 7, 5, 3, 1]);
+        deal(&mut bands, 1, |_| 0);
+        assert_eq!(bands, [9, 7, 5, 3, 1], "those of one cost stay as they are");
     }
 }
