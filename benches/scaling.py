@@ -6,7 +6,8 @@ import os
 from typing import Any
 
 import numpy as np
-from harness import Run, markdown_table, plot_style, scene, three_digits, timed
+from harness import Run, markdown_table, plot_style, pooled, scene, three_digits, timed
+from pacing import paced
 
 import oitlab
 
@@ -48,18 +49,25 @@ def exponent(sizes: list[float], times: list[float]) -> float | None:
 def curve(scenes: list[oitlab.Scene], run: Run) -> dict[str, Any]:
     """Times of every technique on scenes of growing size."""
     empty_scene = oitlab.Scene([], camera=scenes[0].camera, **run.size)
-    empty = timed({t: lambda t=t: oitlab.render(empty_scene, t) for t in TECHNIQUES}, run.repeats)
-    points = []
-    for what in scenes:
-        times = timed({t: lambda t=t, w=what: oitlab.render(w, t) for t in TECHNIQUES}, min(run.repeats, 3))
-        points.append(
-            {
-                "triangles": sum(len(mesh.faces) for mesh in what.meshes),
-                "fragments": oitlab.render(what, "wboit").stats.fragments,
-                "times": times,
-            }
-        )
-    return {"empty": empty, "points": points}
+    points = [
+        {
+            "triangles": sum(len(mesh.faces) for mesh in what.meshes),
+            "fragments": oitlab.render(what, "wboit").stats.fragments,
+            "times": each(what, run),
+        }
+        for what in scenes
+    ]
+    return {"empty": each(empty_scene, run), "points": points}
+
+
+def each(what: oitlab.Scene, run: Run) -> dict[str, dict[str, float]]:
+    """Times of every technique, one after the other: short frames tell of themselves only once they are warm."""
+
+    def of(technique: str) -> dict[str, float]:
+        frames = paced(lambda: oitlab.render(what, technique), min(run.repeats, 3), run.budget)
+        return pooled(1e3 * seconds for seconds, _ in frames)
+
+    return {technique: of(technique) for technique in TECHNIQUES}
 
 
 def fitted(found: dict[str, Any], size: str, first: int = 0) -> dict[str, float | None]:

@@ -97,7 +97,7 @@ impl Cells {
         first..first + (end - first).next_multiple_of(BLOCK)
     }
 
-    /// Places for [`Cells::blocks_of`] all rows, and some to spare.
+    /// Places for [`Cells::blocks_of`] all strips, and some to spare.
     pub fn room(&self) -> usize {
         self.count() + BLOCK
     }
@@ -135,7 +135,7 @@ fn find_cells(cells: &mut Cells, columns: usize, rows: &[Vec<Stretch>], most: us
     pays_off
 }
 
-/// The same for where stretches begin and end among the cells of a row.
+/// The same for where stretches begin and end among the cells of a strip.
 #[multiversion(targets("x86_64+avx2+popcnt+bmi1+bmi2"))]
 #[expect(clippy::cast_possible_wrap, reason = "columns of a tile")]
 fn convert(begins: u64, stretches: &[Stretch], in_cells: &mut Vec<Stretch>) {
