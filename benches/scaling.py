@@ -61,7 +61,7 @@ def curve(scenes: list[oitlab.Scene], run: Run) -> dict[str, Any]:
 
 
 def each(what: oitlab.Scene, run: Run) -> dict[str, dict[str, float]]:
-    """Times of every technique, one after the other: short frames tell of themselves only once they are warm."""
+    """Times of every technique, one after the other: short frames tell of themselves only when warm."""
 
     def of(technique: str) -> dict[str, float]:
         frames = paced(lambda: oitlab.render(what, technique), min(run.repeats, 3), run.budget)
