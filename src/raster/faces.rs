@@ -67,15 +67,11 @@ pub enum Found {
 }
 
 impl Block {
-    /// Fetches the corners of up to [`BLOCK`] faces; they are added to `all`, too.
-    pub fn gather(&mut self, screen: &[ScreenVertex], faces: &[[u32; 3]], all: &mut Vec<[ScreenVertex; 3]>) {
+    /// Takes the corners of up to [`BLOCK`] faces.
+    pub fn take(&mut self, faces: &[[ScreenVertex; 3]]) {
         self.count = faces.len();
-        let first = all.len();
-        all.extend(
-            faces.iter().map(|&[a, b, c]| [screen[a as usize], screen[b as usize], screen[c as usize]]),
-        );
         let Corners { x, y, z } = &mut self.corners;
-        for (i, vertices) in all[first..].iter().enumerate().take(BLOCK) {
+        for (i, vertices) in faces.iter().enumerate().take(BLOCK) {
             for (corner, vertex) in vertices.iter().enumerate() {
                 x[corner][i] = vertex.x;
                 y[corner][i] = vertex.y;
@@ -201,17 +197,16 @@ mod tests {
                     z: f64::from(random(i / 2, k, 3)),
                 }
             };
-            let screen: Vec<_> = (0..3 * 600).map(|v| vertex(v / 3, v % 3)).collect();
-            let faces: Vec<_> = (0..600).map(|f| [3 * f, 3 * f + 1, 3 * f + 2]).collect();
+            let faces: Vec<_> = (0..600).map(|f| [vertex(f, 0), vertex(f, 1), vertex(f, 2)]).collect();
             for double_sided in [false, true] {
-                let (mut block, mut all) = (Block::default(), Vec::new());
+                let (mut block, mut looked_at) = (Block::default(), 0);
                 let mut range = (f64::INFINITY, f64::NEG_INFINITY);
                 for faces in faces.chunks(BLOCK) {
-                    let first = all.len();
-                    block.gather(&screen, faces, &mut all);
+                    block.take(faces);
+                    looked_at += faces.len();
                     let (lo, hi) = block.look(&tiling, double_sided);
                     range = (range.0.min(lo), range.1.max(hi));
-                    for (found, v) in block.found().zip(&all[first..]) {
+                    for (found, v) in block.found().zip(faces) {
                         let points = v.map(|v| (v.x, v.y));
                         let is_seen = |area: i64| area < 0 || (area > 0 && double_sided);
                         let is_outside = v.iter().any(ScreenVertex::is_outside);
@@ -236,7 +231,7 @@ mod tests {
                         }
                     }
                 }
-                assert_eq!((all.len(), range), (600, (0.0, 2.0)));
+                assert_eq!((looked_at, range), (600, (0.0, 2.0)));
             }
         }
         assert!(triangles > 1000 && nothing > 500 && clipped > 200, "{triangles} {nothing} {clipped}");

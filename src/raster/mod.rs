@@ -5,6 +5,7 @@ mod clip;
 mod cover;
 mod export;
 mod faces;
+mod fetch;
 mod interpolate;
 mod lists;
 mod network;
@@ -16,6 +17,7 @@ mod setup;
 mod shade;
 mod tile;
 mod tiling;
+mod vertices;
 mod visit;
 
 pub use arrivals::Arrivals;

@@ -153,6 +153,7 @@ impl Projector {
 pub const BLOCK: usize = 16;
 
 #[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
+#[expect(clippy::needless_bitwise_bool, reason = "without branches")]
 fn project_block(projector: &Projector, points: &[[f64; 3]]) -> [ScreenVertex; BLOCK] {
     let mut world = [[0.0; BLOCK]; 3];
     for (lane, point) in points.iter().enumerate().take(BLOCK) {
@@ -163,21 +164,23 @@ fn project_block(projector: &Projector, points: &[[f64; 3]]) -> [ScreenVertex; B
     let [x, y, z] = projector.camera.view_lanes(&world);
     let (near, far) = projector.clip_range();
     let ((x_min, x_max), (y_min, y_max)) = projector.limits;
-    let mut projected = [ScreenVertex::NOWHERE; BLOCK];
-    for (lane, vertex) in projected.iter_mut().enumerate() {
+    let (mut columns, mut rows) = ([0; BLOCK], [0; BLOCK]);
+    for lane in 0..BLOCK {
         let scale = if projector.perspective { projector.scale / z[lane] } else { projector.scale };
         let screen_x = projector.center.0 + scale * x[lane];
         let screen_y = projector.center.1 - scale * y[lane];
-        let inside = near <= z[lane]
-            && z[lane] <= far
-            && x_min <= screen_x
-            && screen_x <= x_max
-            && y_min <= screen_y
-            && screen_y <= y_max;
-        vertex.z = z[lane];
-        if inside {
-            (vertex.x, vertex.y) = (snap(screen_x), snap(screen_y));
-        }
+        let inside = (near <= z[lane])
+            & (z[lane] <= far)
+            & (x_min <= screen_x)
+            & (screen_x <= x_max)
+            & (y_min <= screen_y)
+            & (screen_y <= y_max);
+        columns[lane] = if inside { snap(screen_x) } else { ScreenVertex::OUTSIDE };
+        rows[lane] = if inside { snap(screen_y) } else { 0 };
+    }
+    let mut projected = [ScreenVertex::NOWHERE; BLOCK];
+    for (lane, vertex) in projected.iter_mut().enumerate() {
+        *vertex = ScreenVertex { x: columns[lane], y: rows[lane], z: z[lane] };
     }
     projected
 }
@@ -186,9 +189,9 @@ fn project_block(projector: &Projector, points: &[[f64; 3]]) -> [ScreenVertex; B
 #[inline(always)]
 #[expect(clippy::cast_possible_truncation, reason = "the guard band keeps it within 25 bits")]
 fn snap(pixels: f64) -> i32 {
-    // adding and taking away again rounds to the nearest integer, ties to even, on any instruction set
+    // adding it rounds to the nearest integer, ties to even, on any instruction set, and leaves that in the last bits
     const ROUND: f64 = 6_755_399_441_055_744.0; // 1.5 * 2^52
-    (pixels * f64::from(SUBPIXELS) + ROUND - ROUND) as i32
+    (pixels * f64::from(SUBPIXELS) + ROUND).to_bits() as i32
 }
 
 #[cfg(test)]

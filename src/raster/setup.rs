@@ -4,14 +4,17 @@
 use super::clip::clip;
 use super::cover::{Rect, centers, doubled_area};
 use super::faces::{BLOCK as BLOCK_FACES, Block, Found};
-use super::project::{BLOCK, Projector, ScreenVertex};
+use super::fetch::fetch;
+use super::project::{Projector, ScreenVertex};
 use super::shade::{Paint, Premultiplied, flat, light};
 use super::tiling::{TileRange, Tiling};
+use super::vertices::Vertices;
 use crate::scene::{Colors, Mesh, Scene, Shading};
 use crate::spare::{Spare, bytes_of};
 use glam::DVec3;
 use rayon::prelude::*;
 use std::hint::black_box;
+use std::iter::from_fn;
 use std::ops::Range;
 
 /// A triangle that needed no clipping.
@@ -109,10 +112,8 @@ impl Primitive<'_> {
     }
 }
 
-/// Faces that are set up together, and the unit in which bins keep submission order.
+/// Faces that are set up together, at most, and the unit in which bins keep submission order.
 const CHUNK_FACES: usize = 4096;
-/// Blocks of vertices below which a thread of its own is not worth it.
-const BLOCKS: usize = 64;
 /// Marks a bin entry as an index into the polygons.
 const POLYGON_BIT: u32 = 1 << 31;
 
@@ -190,14 +191,13 @@ impl Chunk {
         }
     }
 
-    /// Fetches some triangles, so that misses of the cache overlap.
+    /// Fetches some triangles for later, so that nobody has to wait for them.
     #[inline]
-    pub fn touch(&self, entries: &[u32]) {
-        let triangles = entries.iter().filter(|&&entry| entry & POLYGON_BIT == 0);
-        black_box(triangles.fold(0, |seen, &entry| {
-            let place = entry as usize;
-            seen ^ self.faces[place] ^ self.triangles[place].vertices[0].x.cast_unsigned()
-        }));
+    fn fetch(&self, entries: &[u32]) {
+        for &entry in entries.iter().filter(|&&entry| entry & POLYGON_BIT == 0) {
+            fetch(&self.triangles[entry as usize]);
+            fetch(&self.faces[entry as usize]);
+        }
     }
 
     /// The primitive of this number.
@@ -214,6 +214,26 @@ impl Chunk {
         let flat = (face & VARYING_BIT == 0).then_some(*color);
         Triangle { face: self.first_face + (face & !VARYING_BIT), vertices, flat, light: color[0] }
     }
+}
+
+/// Primitives that are fetched while those before them are worked on.
+const FETCHED: usize = 32;
+
+/// The entries of a tile in submission order, some at a time, with their chunk and its number. A chunk's triangles of one tile lie
+/// together, but those of the next chunk are far away: they are fetched ahead.
+#[inline]
+pub fn batches<'a>(chunks: &'a [Chunk], tile: usize) -> impl Iterator<Item = (usize, &'a Chunk, &'a [u32])> {
+    let batch = move |(number, chunk): (usize, &'a Chunk)| {
+        chunk.entries_in(tile).chunks(FETCHED).map(move |entries| (number, chunk, entries))
+    };
+    let mut batches = chunks.iter().enumerate().flat_map(batch).peekable();
+    from_fn(move || {
+        let now = batches.next();
+        if let Some((_, chunk, entries)) = batches.peek() {
+            chunk.fetch(entries);
+        }
+        now
+    })
 }
 
 /// What is known of the colours of some primitives.
@@ -244,13 +264,8 @@ struct Job<'a> {
     index: usize,
     first_primitive: u32,
     faces: Range<usize>,
-    screen: &'a Screen,
+    vertices: &'a Vertices<'a>,
 }
-
-/// The projected vertices of a mesh.
-type Screen = Vec<[ScreenVertex; BLOCK]>;
-
-static SPARE_SCREENS: Spare<Screen> = Spare::new();
 
 /// Projects, clips, culls and bins the scene's primitives: first the chunks of opaque meshes, then those of
 /// transparent ones, each in submission order. Empty when `stop` says so meanwhile.
@@ -260,27 +275,21 @@ pub fn set_up(
     tiling: &Tiling,
     stop: &(dyn Fn() -> bool + Sync),
 ) -> (Vec<Chunk>, Vec<Chunk>) {
-    let project = |block: &[[f64; 3]]| {
-        if stop() { [ScreenVertex::NOWHERE; BLOCK] } else { projector.project_block(block) }
-    };
-    let screen = |mesh: &std::sync::Arc<Mesh>| {
-        let mut screen = SPARE_SCREENS.take(|_| true).unwrap_or_default();
-        let blocks = mesh.vertices().par_chunks(BLOCK).with_min_len(BLOCKS);
-        blocks.map(project).collect_into_vec(&mut screen);
-        screen
-    };
-    let screens: Vec<Screen> = scene.meshes().iter().map(screen).collect();
+    let vertices: Vec<_> = scene.meshes().iter().map(|mesh| Vertices::of(mesh, projector, stop)).collect();
     let mut jobs = (Vec::new(), Vec::new());
     let mut first_primitive = 0;
     for (index, mesh) in scene.meshes().iter().enumerate() {
         let count = mesh.faces().len();
+        // small meshes are shared by all threads
+        let share = count.div_ceil(rayon::current_num_threads()).next_multiple_of(BLOCK_FACES);
+        let size = share.clamp(2 * BLOCK_FACES, CHUNK_FACES);
         let jobs = if mesh.material().is_transparent() { &mut jobs.1 } else { &mut jobs.0 };
-        jobs.extend((0..count).step_by(CHUNK_FACES).map(|start| Job {
+        jobs.extend((0..count).step_by(size).map(|start| Job {
             mesh,
             index,
             first_primitive,
-            faces: start..(start + CHUNK_FACES).min(count),
-            screen: &screens[index],
+            faces: start..(start + size).min(count),
+            vertices: &vertices[index],
         }));
         #[expect(clippy::cast_possible_truncation, reason = "Scene::new limits the sum of all faces")]
         (first_primitive += count as u32);
@@ -292,12 +301,7 @@ pub fn set_up(
         let chunk = |job: &Job<'_>| (!stop()).then(|| job.run(projector, tiling));
         jobs.par_iter().filter_map(chunk).collect()
     };
-    let chunks = (run(jobs.0), run(jobs.1));
-    for screen in screens {
-        let bytes = bytes_of(&screen);
-        SPARE_SCREENS.give_back(screen, bytes);
-    }
-    chunks
+    (run(jobs.0), run(jobs.1))
 }
 
 impl Job<'_> {
@@ -337,10 +341,13 @@ impl Job<'_> {
         let Scratch { block, corners, touched, .. } = scratch;
         corners.clear();
         touched.clear();
-        let (screen, faces) = (self.screen.as_flattened(), &self.mesh.faces()[self.faces.clone()]);
+        let faces = &self.mesh.faces()[self.faces.clone()];
         let mut numbers = 0..;
-        for faces in faces.chunks(BLOCK_FACES) {
-            block.gather(screen, faces, corners);
+        for (n, now) in faces.chunks(BLOCK_FACES).enumerate() {
+            self.vertices.fetch(faces.chunks(BLOCK_FACES).nth(n + 1).unwrap_or_default());
+            let first = corners.len();
+            self.vertices.gather(projector, now, corners);
+            block.take(&corners[first..]);
             let (lo, hi) = block.look(tiling, self.mesh.material().double_sided);
             chunk.depth_range = (chunk.depth_range.0.min(lo), chunk.depth_range.1.max(hi));
             for (found, face) in block.found().zip(&mut numbers) {

@@ -7,7 +7,7 @@ use super::interpolate::{LANES, Plane, Ray, Surface};
 use super::occlusion::Opaque;
 use super::pixels::{FEW, Pixels, Where};
 use super::runs::{Run, triangle_runs};
-use super::setup::{Chunk, Primitive, pixel_bounds};
+use super::setup::{Chunk, Primitive, batches, pixel_bounds};
 use super::shade::{Paint, Shade};
 use super::visit::{Order, Visits};
 use multiversion::multiversion;
@@ -407,9 +407,6 @@ fn primitive_spans(primitive: Primitive<'_>, rect: &Rect, span: impl FnMut(i32, 
     }
 }
 
-/// Primitives that are fetched before the first is used.
-const TOUCHED: usize = 64;
-
 /// Visits the primitives of a tile in submission order until `visit` says no; false when stopped on the way.
 #[inline(always)]
 #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
@@ -420,13 +417,9 @@ fn for_each_primitive<'a>(
     stop: &dyn Fn() -> bool,
     mut visit: impl FnMut(&'a Chunk, Primitive<'a>) -> bool,
 ) -> bool {
-    let tile = row * raster.columns() + column;
-    for chunk in chunks {
-        for entries in chunk.entries_in(tile).chunks(TOUCHED) {
-            chunk.touch(entries);
-            if stop() || !entries.iter().all(|&entry| visit(chunk, chunk.primitive(entry))) {
-                return false;
-            }
+    for (_, chunk, entries) in batches(chunks, row * raster.columns() + column) {
+        if stop() || !entries.iter().all(|&entry| visit(chunk, chunk.primitive(entry))) {
+            return false;
         }
     }
     true

@@ -1,7 +1,7 @@
 //! The transparent primitives of a tile in another order than that of submission.
 
 use super::Raster;
-use super::setup::{Chunk, Primitive};
+use super::setup::{Chunk, Primitive, batches};
 
 /// An order in which a tile's primitives can be had.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -79,8 +79,8 @@ impl Visits {
     #[expect(clippy::cast_possible_truncation, reason = "fewer primitives than u32 has numbers")]
     fn collect(&mut self, raster: &Raster<'_>, tile: (usize, usize), key: impl Fn(&Primitive<'_>) -> f64) {
         self.0.clear();
-        for (index, chunk) in raster.transparent.iter().enumerate() {
-            for &entry in chunk.entries_in(tile.1 * raster.columns() + tile.0) {
+        for (index, chunk, entries) in batches(&raster.transparent, tile.1 * raster.columns() + tile.0) {
+            for &entry in entries {
                 let depth = key(&chunk.primitive(entry));
                 self.0.push(Visit { depth, number: self.0.len() as u32, chunk: index as u32, entry });
             }

@@ -103,6 +103,9 @@ fn blend_group(
 #[expect(clippy::inline_always, reason = "takes on its caller's instruction set")]
 pub fn blend_few(pixels: &[u32], weights: &[f32], color: Premultiplied, places: Places<'_>) {
     let Places { transmittance, counts, sums } = places;
+    // of one length, for one check per pixel
+    let room = transmittance.len().min(counts.len()).min(sums.len());
+    let (transmittance, counts, sums) = (&mut transmittance[..room], &mut counts[..room], &mut sums[..room]);
     let left = 1.0 - f64::from(color[3]);
     for (&pixel, weight) in pixels.iter().zip(weights) {
         let pixel = pixel as usize;
