@@ -176,6 +176,14 @@ fn emit(y: i32, x0: i32, x1: i32, rect: &Rect, span: &mut impl FnMut(i32, i32, i
     }
 }
 
+/// The pixels of `rect` whose centres can be in the triangle by its bounding box, in rows that have their top in
+/// and their bottom out; may be empty.
+pub fn pixel_bounds([a, b, c]: &[(i32, i32); 3], rect: &Rect) -> Rect {
+    let (x0, x1) = centers(a.0.min(b.0).min(c.0), a.0.max(b.0).max(c.0));
+    let (y0, y1) = centers(a.1.min(b.1).min(c.1), a.1.max(b.1).max(c.1) - 1);
+    Rect { x0: x0.max(rect.x0), y0: y0.max(rect.y0), x1: x1.min(rect.x1), y1: y1.min(rect.y1) }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -2,9 +2,9 @@
 //! of the pixel, so that it covers the same pixels and sees the same surface in them.
 
 use super::Raster;
+use super::chunk::{Chunk, Polygon, Primitive, Triangle};
 use super::cover::{Rect, centers};
 use super::project::{CENTER, Projector, SUBPIXELS};
-use super::setup::{Chunk, Polygon, Primitive, Triangle};
 use super::shade::Paint;
 use glam::DVec3;
 

@@ -1,6 +1,7 @@
 //! From a scene to fragments: project and snap, clip, set up, bin into tiles, cover, shade.
 
 mod arrivals;
+mod chunk;
 mod clip;
 mod cover;
 mod export;
@@ -35,10 +36,11 @@ pub use visit::Order;
 
 use crate::params::View;
 use crate::scene::Scene;
+use chunk::{Chunk, Shown};
 use glam::DVec3;
 use project::Projector;
 use rayon::prelude::*;
-use setup::{Chunk, Shown, set_up};
+use setup::set_up;
 use tiling::Tiling;
 
 /// A scene whose primitives are projected and binned, ready to be rasterised tile by tile.

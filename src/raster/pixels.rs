@@ -333,8 +333,8 @@ fn unpack(at: u32) -> (i32, i32) {
 mod tests {
     use super::*;
     use crate::random::hash32;
+    use crate::raster::cover::pixel_bounds;
     use crate::raster::cover::{doubled_area, spans};
-    use crate::raster::setup::pixel_bounds;
 
     fn sorted(pixels: &Pixels) -> Vec<(i32, i32)> {
         let mut all: Vec<_> = pixels.positions().collect();

@@ -2,12 +2,12 @@
 //! runs of pixels, small ones as lists of pixels.
 
 use super::Raster;
-use super::cover::{Rect, lies_beside, spans};
+use super::chunk::{Chunk, Primitive, batches};
+use super::cover::{Rect, lies_beside, pixel_bounds, spans};
 use super::interpolate::{LANES, Plane, Ray, Surface};
 use super::occlusion::Opaque;
 use super::pixels::{FEW, Pixels, Where};
 use super::runs::{Run, triangle_runs};
-use super::setup::{Chunk, Primitive, batches, pixel_bounds};
 use super::shade::{Paint, Shade};
 use super::visit::{Order, Visits};
 use multiversion::multiversion;

@@ -1,7 +1,7 @@
 //! The transparent primitives of a tile in another order than that of submission.
 
 use super::Raster;
-use super::setup::{Chunk, Primitive, batches};
+use super::chunk::{Chunk, Primitive, batches};
 
 /// An order in which a tile's primitives can be had.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
