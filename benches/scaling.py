@@ -1,11 +1,17 @@
-"""How time grows with fragments, with triangles and with threads, the cost of an empty scene taken off."""
+"""How time grows with fragments, with triangles and with threads, the cost of an empty scene taken off.
+
+In one image small scenes are mostly the pixels that they cover: twice the fragments take less than twice the
+time. Where the image grows with the scene every pixel costs the same, and time should be linear.
+"""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
+from growing import dust_of, fog_of, haze_of, smoke_of
 from harness import Run, markdown_table, plot_style, pooled, scene, three_digits, timed
 from pacing import paced
 
@@ -15,26 +21,13 @@ TECHNIQUES = ("wboit", "lwboit", "mlab", "a_buffer", "painter")
 FRAGMENTS = (1e5, 3e5, 1e6, 3e6, 1e7, 3e7)
 TRIANGLES = (1e3, 1e4, 1e5, 1e6)
 HUGE_FRAGMENTS, HUGE_TRIANGLES = (1e8, 3e8), (1e7,)
-HALF_SIDE = 0.0042
-"""Standard deviation of a tiny triangle's corners: some two fragments each at 720 rows."""
-
-
-def smoke_of(fragments: float, run: Run) -> oitlab.Scene:
-    """Smoke with about that many fragments: first one with few quads tells how many there are per quad."""
-    trial = oitlab.scenes.smoke(**run.size, count=100)
-    per_quad = oitlab.render(trial, "wboit").stats.fragments / 100
-    return oitlab.scenes.smoke(**run.size, count=max(1, round(fragments / per_quad)))
-
-
-def dust_of(triangles: float, run: Run) -> oitlab.Scene:
-    """Triangles of a few pixels in random order: their set-up matters more than their fragments."""
-    rng, count = np.random.default_rng(0), int(triangles)
-    corners = rng.uniform(-0.5, 0.5, (count, 1, 3)) + rng.normal(0, HALF_SIDE, (count, 3, 3))
-    colors = np.column_stack([rng.random((count, 3)), np.full(count, 0.3)])
-    vertices = corners.reshape(-1, 3)
-    mesh = oitlab.Mesh(vertices, np.arange(3 * count).reshape(-1, 3), face_colors=colors)
-    camera = oitlab.Camera(eye=(0.78, 0.61, 1.22), fov_y=40.0).tightened(vertices)
-    return oitlab.Scene([mesh], camera=camera, **run.size)
+SERIES = {
+    "fragments": (smoke_of, "fragments", "fragments, in one image"),
+    "fragments_at_one_depth": (fog_of, "fragments", "fragments, in an image that grows with them"),
+    "triangles": (dust_of, "triangles", "triangles, in one image"),
+    "triangles_at_one_density": (haze_of, "triangles", "triangles, in an image that grows with them"),
+}
+"""What grows how: its scenes, what is counted, and what it is called."""
 
 
 def exponent(sizes: list[float], times: list[float]) -> float | None:
@@ -46,18 +39,22 @@ def exponent(sizes: list[float], times: list[float]) -> float | None:
     return float(np.polyfit(x, y, 1)[0])
 
 
-def curve(scenes: list[oitlab.Scene], run: Run) -> dict[str, Any]:
-    """Times of every technique on scenes of growing size."""
-    empty_scene = oitlab.Scene([], camera=scenes[0].camera, **run.size)
-    points = [
-        {
-            "triangles": sum(len(mesh.faces) for mesh in what.meshes),
-            "fragments": oitlab.render(what, "wboit").stats.fragments,
-            "times": each(what, run),
-        }
-        for what in scenes
-    ]
-    return {"empty": each(empty_scene, run), "points": points}
+def curve(scenes: Iterable[oitlab.Scene], run: Run) -> dict[str, Any]:
+    """Times of every technique on scenes of growing size, and on empty ones of the same images."""
+    points: list[dict[str, Any]] = []
+    for what in scenes:
+        size = {"width": what.width, "height": what.height}
+        known = [point["empty"] for point in points if size.items() <= point.items()]
+        points.append(
+            {
+                **size,
+                "triangles": sum(len(mesh.faces) for mesh in what.meshes),
+                "fragments": oitlab.render(what, "wboit").stats.fragments,
+                "empty": known[0] if known else each(oitlab.Scene([], camera=what.camera, **size), run),
+                "times": each(what, run),
+            }
+        )
+    return {"points": points}
 
 
 def each(what: oitlab.Scene, run: Run) -> dict[str, dict[str, float]]:
@@ -74,10 +71,12 @@ def fitted(found: dict[str, Any], size: str, first: int = 0) -> dict[str, float 
     """Exponents per technique from a point on; the empty scene's time is the one of the same technique."""
     points = found["points"][first:]
     sizes = [point[size] for point in points]
-    return {
-        t: exponent(sizes, [p["times"][t]["median_ms"] - found["empty"][t]["median_ms"] for p in points])
-        for t in TECHNIQUES
-    }
+    return {t: exponent(sizes, [beyond_empty(point, t) for point in points]) for t in TECHNIQUES}
+
+
+def beyond_empty(point: dict[str, Any], technique: str) -> float:
+    """Milliseconds that the scene takes longer than an empty one."""
+    return float(point["times"][technique]["median_ms"] - point["empty"][technique]["median_ms"])
 
 
 def threads(run: Run) -> dict[str, Any]:
@@ -99,17 +98,17 @@ def threads(run: Run) -> dict[str, Any]:
 
 def main(run: Run) -> None:
     """Measure, and write scaling.json, scaling.md and scaling.png."""
-    fragments = FRAGMENTS + (HUGE_FRAGMENTS if run.huge else ())
-    triangles = TRIANGLES + (HUGE_TRIANGLES if run.huge else ())
+    counts = {"fragments": FRAGMENTS, "triangles": TRIANGLES}
+    if run.huge:
+        counts = {"fragments": FRAGMENTS + HUGE_FRAGMENTS, "triangles": TRIANGLES + HUGE_TRIANGLES}
     if run.quick:
-        fragments, triangles = (1e4, 1e5), (1e2, 1e3)
-    results = {
-        "fragments": curve([smoke_of(count, run) for count in fragments], run),
-        "triangles": curve([dust_of(count, run) for count in triangles], run),
-    }
-    for size, found in results.items():
+        counts = {"fragments": (1e4, 1e5), "triangles": (1e2, 1e3)}
+    results: dict[str, Any] = {}
+    for name, (scene_of, size, _) in SERIES.items():
+        found = curve((scene_of(count, run) for count in counts[size]), run)
         found["exponents"] = fitted(found, size)
         found["exponents_of_the_larger_half"] = fitted(found, size, len(found["points"]) // 2)
+        results[name] = found
     results["threads"] = threads(run)
     draw(results, run)
     run.save("scaling", results, tables(results))
@@ -118,20 +117,25 @@ def main(run: Run) -> None:
 def tables(results: dict[str, Any]) -> str:
     """Milliseconds over size, with the exponents, then the gain of threads."""
     parts = []
-    for size in ("fragments", "triangles"):
-        found = results[size]
-        rows = [[f"{point[size]:,}", *(three_digits(point["times"][t]["median_ms"]) for t in TECHNIQUES)]
-                for point in found["points"]]  # fmt: skip
-        empty = ["empty scene", *(three_digits(found["empty"][t]["median_ms"]) for t in TECHNIQUES)]
+    for name, (_, size, title) in SERIES.items():
+        found = results[name]
+        rows = []
+        for point in found["points"]:
+            image = f"{point['width']} x {point['height']}"
+            times = [milliseconds(point["times"], point["empty"], technique) for technique in TECHNIQUES]
+            rows.append([f"{point[size]:,}", image, *times])
         half = found["points"][len(found["points"]) // 2][size]
         slopes = [
-            [name, *("-" if e is None else f"{e:.2f}" for e in found[which].values())]
-            for name, which in (
+            [label, "", *("-" if e is None else f"{e:.2f}" for e in found[which].values())]
+            for label, which in (
                 ("**exponent**", "exponents"),
                 (f"**from {half:,} on**", "exponents_of_the_larger_half"),
             )
         ]
-        parts += [f"Milliseconds over {size}.", markdown_table([size, *TECHNIQUES], [empty, *rows, *slopes])]
+        parts.append(
+            f"Milliseconds over {title}; in brackets those of an empty scene, which exponents leave out."
+        )
+        parts.append(markdown_table([size, "image", *TECHNIQUES], [*rows, *slopes]))
     speedup = results["threads"]["speedup"]
     names = dict.fromkeys(key.split()[0] for key in speedup)
 
@@ -146,8 +150,13 @@ def tables(results: dict[str, Any]) -> str:
     return "\n\n".join(parts)
 
 
+def milliseconds(times: dict[str, Any], empty: dict[str, Any], technique: str) -> str:
+    """Of a scene, and of an empty one in brackets."""
+    return f"{three_digits(times[technique]['median_ms'])} ({three_digits(empty[technique]['median_ms'])})"
+
+
 def draw(results: dict[str, Any], run: Run) -> None:
-    """Both curves on logarithmic axes, with a line of slope 1 to compare with."""
+    """All curves on logarithmic axes, with a line of slope 1 to compare with."""
     import matplotlib as mpl
 
     mpl.use("Agg")
@@ -155,19 +164,18 @@ def draw(results: dict[str, Any], run: Run) -> None:
 
     plot_style()
     colors = ("#0072B2", "#009E73", "#E69F00", "#D55E00", "#CC79A7")
-    figure, panels = plt.subplots(1, 2, figsize=(9, 4))
-    for axes, size in zip(panels, ("fragments", "triangles"), strict=True):
-        found = results[size]
+    figure, panels = plt.subplots(2, 2, figsize=(9, 8))
+    for axes, (name, (_, size, title)) in zip(panels.flat, SERIES.items(), strict=True):
+        found = results[name]
         sizes = np.array([point[size] for point in found["points"]], float)
         for technique, color in zip(TECHNIQUES, colors, strict=True):
-            times = [p["times"][technique]["median_ms"] for p in found["points"]]
+            net = np.array([beyond_empty(point, technique) for point in found["points"]])
             slope = found["exponents"][technique]
             label = technique if slope is None else f"{technique}, exponent {slope:.2f}"
-            net = np.array(times) - found["empty"][technique]["median_ms"]
             axes.plot(sizes, np.where(net > 0, net, np.nan), "o-", color=color, markersize=3, label=label)
-        last = found["points"][-1]["times"]["wboit"]["median_ms"]
+        last = beyond_empty(found["points"][-1], "wboit")
         axes.plot(sizes, last * sizes / sizes[-1], ":", color="#777777", label="linear")
-        axes.set(xscale="log", yscale="log", xlabel=size, ylabel="milliseconds beyond the empty scene")
+        axes.set(xscale="log", yscale="log", xlabel=title, ylabel="milliseconds beyond the empty scene")
         axes.legend()
     run.save_figure(figure, "scaling")
     plt.close(figure)

@@ -69,13 +69,19 @@ def test_every_technique_has_an_error_and_a_time(bench: dict[str, Any]) -> None:
 
 
 def test_curves_grow_in_what_they_say(bench: dict[str, Any]) -> None:
-    for size in ("fragments", "triangles"):
-        sizes = [point[size] for point in bench["scaling"][size]["points"]]
-        assert sizes == sorted(sizes)
-        assert sizes[-1] / sizes[0] == pytest.approx(10, rel=0.5)
-    assert set(bench["scaling"]["fragments"]["exponents"]) >= {"wboit", "a_buffer"}
-    assert set(bench["scaling"]["triangles"]["exponents_of_the_larger_half"]) >= {"wboit", "a_buffer"}
-    gains = bench["scaling"]["threads"]["speedup"].values()
+    scaling = bench["scaling"]
+    for size, together in (
+        ("fragments", "fragments_at_one_depth"),
+        ("triangles", "triangles_at_one_density"),
+    ):
+        for name in (size, together):
+            points = scaling[name]["points"]
+            assert points[-1][size] / points[0][size] == pytest.approx(10, rel=0.5)
+            pixels = [point["width"] * point["height"] for point in points]
+            assert pixels[-1] / pixels[0] == pytest.approx(10 if name == together else 1, rel=0.2)
+    assert set(scaling["fragments"]["exponents"]) >= {"wboit", "a_buffer"}
+    assert set(scaling["triangles"]["exponents_of_the_larger_half"]) >= {"wboit", "a_buffer"}
+    gains = scaling["threads"]["speedup"].values()
     assert all(math.isfinite(gain) for kinds in gains for gain in kinds.values())
 
 
