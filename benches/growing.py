@@ -8,7 +8,7 @@ from harness import Run
 import oitlab
 
 HALF_SIDE = 0.0042
-"""Standard deviation of a tiny triangle's corners: some two fragments each at 720 rows."""
+"""Standard deviation of a tiny triangle's corners: some seven fragments each at 720 rows."""
 DEPTH, SIDE, ROWS_PER_COLUMN = 24, 32, 9 / 16
 """Fragments of a pixel, pixels of a square's side and the shape of an image that grows with the scene."""
 

@@ -80,6 +80,40 @@ fn tiles_and_threads_change_no_bit() {
     }
 }
 
+/// Faces that share their vertices, some of them out of sight, as they are or each with vertices of its own.
+#[test]
+fn vertices_shared_or_not_change_no_bit() {
+    let vertices: Vec<[f64; 3]> = (0..400).map(|v| [0, 1, 2].map(|k| 6.0 * random(v, k) - 3.0)).collect();
+    let blend = Material::default();
+    let masked = Material { alpha_mode: AlphaMode::Mask, ..blend };
+    let opaque = Material { alpha_mode: AlphaMode::Opaque, double_sided: false, ..blend };
+    let meshes = |are_shared: bool| {
+        let of = |(count, material): (u32, Material)| {
+            let near = |f: u32, k: u32| (f + (random(f, k) * 9.0) as u32) % 400;
+            let faces: Vec<_> = (0..count).map(|f| [near(f, 5), near(f, 6), near(f, 7)]).collect();
+            let colors = (0..count).map(|f| [11, 12, 13, 14].map(|k| random(f, k) as f32)).collect();
+            let corners = faces.as_flattened().iter().map(|&v| vertices[v as usize]);
+            let (vertices, faces) = if are_shared {
+                (vertices.clone(), faces)
+            } else {
+                (corners.collect(), (0..count).map(|f| [3 * f, 3 * f + 1, 3 * f + 2]).collect())
+            };
+            Arc::new(Mesh::new(vertices, faces, Colors::Face(colors), material).unwrap())
+        };
+        [(5000, blend), (300, masked), (201, opaque)].map(of).to_vec()
+    };
+    let capture_of = |are_shared, threads| {
+        let scene = scene(meshes(are_shared), perspective(60.0, 0.5, 8.0), 97, 61);
+        capture_with(&scene, &options(16, threads, 1 << 18))
+    };
+    let shared = capture_of(true, 1);
+    assert!(shared.lists.len() > 30_000, "{}", shared.lists.len());
+    for threads in 1..=3 {
+        assert!(capture_of(false, threads).content_hash() == shared.content_hash());
+        assert!(capture_of(true, threads).content_hash() == shared.content_hash());
+    }
+}
+
 fn fragments_of(fragments: &Fragments, pixel: usize) -> Vec<Fragment> {
     fragments.lists.as_ref().row(pixel).iter().collect()
 }

@@ -71,8 +71,8 @@ def test_every_technique_has_an_error_and_a_time(bench: dict[str, Any]) -> None:
 def test_curves_grow_in_what_they_say(bench: dict[str, Any]) -> None:
     scaling = bench["scaling"]
     for size, together in (
-        ("fragments", "fragments_at_one_depth"),
-        ("triangles", "triangles_at_one_density"),
+        ("fragments", "fragments_in_growing_images"),
+        ("triangles", "triangles_in_growing_images"),
     ):
         for name in (size, together):
             points = scaling[name]["points"]

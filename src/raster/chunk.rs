@@ -231,3 +231,56 @@ impl Shown {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A chunk with these entries per tile, of triangles that nobody looks at.
+    fn chunk(tiles: &[Vec<u32>]) -> Chunk {
+        let triangle = Kept { vertices: [ScreenVertex::NOWHERE; 3], color: [0.0; 4] };
+        let mut starts = vec![0];
+        starts.extend(tiles.iter().scan(0, |sum, entries| {
+            *sum += u32::try_from(entries.len()).unwrap();
+            Some(*sum)
+        }));
+        Chunk {
+            mesh: 0,
+            first_primitive: 0,
+            depth_range: (0.0, 0.0),
+            faces_camera: false,
+            shown: Shown::Nothing,
+            triangles: vec![triangle; 100],
+            faces: vec![0; 100],
+            first_face: 0,
+            polygons: Vec::new(),
+            starts,
+            entries: tiles.concat(),
+        }
+    }
+
+    #[test]
+    fn batches_have_all_entries_of_a_tile_in_their_order() {
+        let polygons = || vec![POLYGON_BIT, POLYGON_BIT | 7];
+        let chunks = [
+            chunk(&[(0..100).rev().collect(), vec![3]]),
+            chunk(&[vec![], vec![]]),
+            chunk(&[]),
+            chunk(&[polygons(), (0..33).collect()]),
+            chunk(&[(5..69).collect(), vec![]]),
+        ];
+        for tile in 0..3 {
+            let mut found = Vec::new();
+            for (number, chunk, entries) in batches(&chunks, tile) {
+                assert!(std::ptr::eq(chunk, &raw const chunks[number]));
+                assert!((1..=FETCHED).contains(&entries.len()));
+                found.extend(entries.iter().map(|&entry| (number, entry)));
+            }
+            let of_chunk = |(number, chunk): (usize, &Chunk)| {
+                chunk.entries_in(tile).iter().map(|&entry| (number, entry)).collect::<Vec<_>>()
+            };
+            assert_eq!(found, chunks.iter().enumerate().flat_map(of_chunk).collect::<Vec<_>>());
+            assert_eq!(found.len(), [166, 34, 0][tile]);
+        }
+    }
+}

@@ -5,7 +5,7 @@ use super::project::{CENTER, SUBPIXELS, ScreenVertex};
 use super::tiling::{TileRange, Tiling, tile_of};
 use multiversion::multiversion;
 
-/// Faces that are looked at together: misses of the cache overlap while their vertices are fetched.
+/// Faces that are looked at together, while the vertices of as many more are fetched.
 pub const BLOCK: usize = 64;
 
 /// The faces at hand.
@@ -67,8 +67,8 @@ pub enum Found {
 }
 
 impl Block {
-    /// Takes the corners of up to [`BLOCK`] faces.
-    pub fn take(&mut self, faces: &[[ScreenVertex; 3]]) {
+    /// From here on these are the faces at hand, up to [`BLOCK`], given by their corners.
+    pub fn set(&mut self, faces: &[[ScreenVertex; 3]]) {
         self.count = faces.len();
         let Corners { x, y, z } = &mut self.corners;
         for (i, vertices) in faces.iter().enumerate().take(BLOCK) {
@@ -202,7 +202,7 @@ mod tests {
                 let (mut block, mut looked_at) = (Block::default(), 0);
                 let mut range = (f64::INFINITY, f64::NEG_INFINITY);
                 for faces in faces.chunks(BLOCK) {
-                    block.take(faces);
+                    block.set(faces);
                     looked_at += faces.len();
                     let (lo, hi) = block.look(&tiling, double_sided);
                     range = (range.0.min(lo), range.1.max(hi));

@@ -333,8 +333,7 @@ fn unpack(at: u32) -> (i32, i32) {
 mod tests {
     use super::*;
     use crate::random::hash32;
-    use crate::raster::cover::pixel_bounds;
-    use crate::raster::cover::{doubled_area, spans};
+    use crate::raster::cover::{doubled_area, pixel_bounds, spans};
 
     fn sorted(pixels: &Pixels) -> Vec<(i32, i32)> {
         let mut all: Vec<_> = pixels.positions().collect();

@@ -236,8 +236,7 @@ pub fn triangle_runs(
 mod tests {
     use super::*;
     use crate::random::hash32;
-    use crate::raster::cover::pixel_bounds;
-    use crate::raster::cover::{doubled_area, spans};
+    use crate::raster::cover::{doubled_area, pixel_bounds, spans};
 
     fn pixels(runs: &[Run]) -> Vec<u32> {
         runs.iter().flat_map(|run| run.first..run.first + run.len).collect()

@@ -16,8 +16,10 @@ use rayon::prelude::*;
 use std::hint::black_box;
 use std::ops::Range;
 
-/// Faces that are set up together, at most, and the unit in which bins keep submission order.
+/// Faces that are set up together, and the unit in which bins keep submission order. Whoever asks what a chunk shows gets the same
+/// answer on any number of threads.
 const CHUNK_FACES: usize = 4096;
+
 /// Working memory of a thread that sets up chunks.
 #[derive(Default)]
 struct Scratch {
@@ -45,7 +47,7 @@ struct Job<'a> {
 }
 
 /// Projects, clips, culls and bins the scene's primitives: first the chunks of opaque meshes, then those of
-/// transparent ones, each in submission order. Empty when `stop` says so meanwhile.
+/// transparent ones, each in submission order. Incomplete when `stop` says so meanwhile.
 pub fn set_up(
     scene: &Scene,
     projector: &Projector,
@@ -57,15 +59,12 @@ pub fn set_up(
     let mut first_primitive = 0;
     for (index, mesh) in scene.meshes().iter().enumerate() {
         let count = mesh.faces().len();
-        // small meshes are shared by all threads
-        let share = count.div_ceil(rayon::current_num_threads()).next_multiple_of(BLOCK_FACES);
-        let size = share.clamp(2 * BLOCK_FACES, CHUNK_FACES);
         let jobs = if mesh.material().is_transparent() { &mut jobs.1 } else { &mut jobs.0 };
-        jobs.extend((0..count).step_by(size).map(|start| Job {
+        jobs.extend((0..count).step_by(CHUNK_FACES).map(|start| Job {
             mesh,
             index,
             first_primitive,
-            faces: start..(start + size).min(count),
+            faces: start..(start + CHUNK_FACES).min(count),
             vertices: &vertices[index],
         }));
         #[expect(clippy::cast_possible_truncation, reason = "Scene::new limits the sum of all faces")]
@@ -124,7 +123,7 @@ impl Job<'_> {
             self.vertices.fetch(faces.chunks(BLOCK_FACES).nth(n + 1).unwrap_or_default());
             let first = corners.len();
             self.vertices.gather(projector, now, corners);
-            block.take(&corners[first..]);
+            block.set(&corners[first..]);
             let (lo, hi) = block.look(tiling, self.mesh.material().double_sided);
             chunk.depth_range = (chunk.depth_range.0.min(lo), chunk.depth_range.1.max(hi));
             for (found, face) in block.found().zip(&mut numbers) {
@@ -240,7 +239,7 @@ impl Chunk {
     }
 }
 
-/// Fetches the colours of some faces one after the other, which is foreseen; in the order of tiles each would be waited for.
+/// Reads the colours of some faces one after the other, which is foreseen; in the order of tiles each would be waited for.
 fn touch_colors(colors: &Colors, faces: &Range<usize>) {
     if let Colors::Face(colors) = colors {
         let alphas = colors[faces.clone()].iter().map(|color| color[3].to_bits());

@@ -22,7 +22,7 @@ static SPARE: Spare<Vec<[ScreenVertex; BLOCK]>> = Spare::new();
 impl<'a> Vertices<'a> {
     /// Those of `mesh`. Some may be [`ScreenVertex::NOWHERE`] when `stop` has said so meanwhile.
     pub fn of(mesh: &'a Mesh, projector: &Projector, stop: &(dyn Fn() -> bool + Sync)) -> Self {
-        // a face has three corners: with so many vertices each is used one and a half times at most
+        // a face has three corners: with so many vertices each is used one and a half times on average
         if 2 * mesh.faces().len() <= mesh.vertices().len() {
             return Self::World(mesh.vertices());
         }
@@ -59,12 +59,8 @@ impl<'a> Vertices<'a> {
                 let screen = screen.as_flattened();
                 faces.as_flattened().iter().for_each(|&vertex| fetch(&screen[vertex as usize]));
             }
-            // of 24 bytes each, and neighbours mostly
             Self::World(world) => {
-                for &[a, _, c] in faces {
-                    fetch(&world[a as usize]);
-                    fetch(&world[c as usize][2]);
-                }
+                faces.as_flattened().iter().for_each(|&vertex| fetch(&world[vertex as usize]));
             }
         }
     }

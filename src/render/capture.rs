@@ -16,6 +16,7 @@ pub fn capture(scene: &Scene, options: &Options, stop: &(dyn Fn() -> bool + Sync
     with_threads(options.threads, |_| {
         let raster = Raster::new(scene, options.tile_size, stop);
         let bands: Vec<_> = (0..raster.rows()).into_par_iter().map(|row| band(&raster, row, stop)).collect();
+        let centroid_depths = raster::centroid_depths(scene, stop);
         if stop() {
             return Err(Error::Cancelled);
         }
@@ -31,7 +32,7 @@ pub fn capture(scene: &Scene, options: &Options, stop: &(dyn Fn() -> bool + Sync
             lists,
             Background::Image(background),
             raster.view(),
-            Some(raster::centroid_depths(scene, stop)),
+            Some(centroid_depths),
         ))
     })
 }
