@@ -6,6 +6,7 @@ import signal
 import sqlite3
 import subprocess
 import sys
+import threading
 import time
 from functools import partial
 from pathlib import Path
@@ -229,6 +230,23 @@ def test_two_sweeps_write_one_store(store):
     with sqlite3.connect(store) as connection:
         assert connection.execute("PRAGMA integrity_check").fetchone() == ("ok",)
     connection.close()
+
+
+@pytest.mark.parametrize("is_study", [False, True])
+def test_it_is_opened_while_somebody_else_writes(store, is_study):
+    """SQLite does not wait for others where the kind of journal changes."""
+    if is_study:
+        Study(store).close()
+    other = sqlite3.connect(store, isolation_level=None, check_same_thread=False)
+    assert other.execute("PRAGMA journal_mode = DELETE").fetchone() == ("delete",)
+    other.execute("BEGIN IMMEDIATE")
+    later = threading.Timer(0.3, lambda: other.execute("COMMIT"))
+    later.start()
+    Study(store).close()
+    assert not other.in_transaction
+    later.join()
+    other.close()
+    assert len(oitlab.read_study(store)) == 0
 
 
 class TestFiles:

@@ -11,6 +11,7 @@ import json
 import math
 import os
 import sqlite3
+import time
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import closing, contextmanager
 from pathlib import Path
@@ -85,11 +86,23 @@ class Study:
 
     def _open(self) -> None:
         if not _is_study(self._connection, self.path, blank_will_do=True):
-            self._connection.execute("PRAGMA journal_mode = WAL")
+            self._log_ahead()
             self._create()
         self._migrate()
-        self._connection.execute("PRAGMA journal_mode = WAL")
+        self._log_ahead()
         self._connection.execute("PRAGMA synchronous = FULL")
+
+    def _log_ahead(self) -> None:
+        """Change to a write-ahead log, which SQLite refuses at once, not in time, while others write."""
+        end = time.monotonic() + BUSY_SECONDS
+        while True:
+            try:
+                self._connection.execute("PRAGMA journal_mode = WAL")
+                return
+            except sqlite3.OperationalError as error:
+                if error.sqlite_errorcode != sqlite3.SQLITE_BUSY or time.monotonic() > end:
+                    raise
+            time.sleep(0.01)
 
     def _create(self) -> None:
         with self._transaction():
