@@ -76,7 +76,9 @@ def test_curves_grow_in_what_they_say(bench: dict[str, Any]) -> None:
     ):
         for name in (size, together):
             points = scaling[name]["points"]
-            assert points[-1][size] / points[0][size] == pytest.approx(10, rel=0.5)
+            sizes = [point[size] for point in points]
+            assert sizes == sorted(sizes)
+            assert sizes[-1] / sizes[0] == pytest.approx(10, rel=0.5)
             pixels = [point["width"] * point["height"] for point in points]
             assert pixels[-1] / pixels[0] == pytest.approx(10 if name == together else 1, rel=0.2)
     assert set(scaling["fragments"]["exponents"]) >= {"wboit", "a_buffer"}

@@ -98,8 +98,8 @@ mod tests {
     use crate::scene::{Camera, Colors, Material, Projection};
     use glam::DVec3;
 
-    /// The same faces with vertices of their own and with shared ones; both kinds are taken, and every corner is where its vertex
-    /// alone is.
+    /// Meshes with few vertices per face and with many, so that both ways are taken: every corner is where its vertex is projected
+    /// to by itself.
     #[test]
     fn corners_are_where_their_vertices_are() {
         let random = |i: u32, k: u32| f64::from(hash32(i, k, 5, 0, 0)) / f64::from(u32::MAX) * 4.0 - 2.0;
